@@ -1,0 +1,159 @@
+"""What is a product to the cell?  A recipe: its template and the parameters of every stage of the vision.
+
+A recipe is a TOML file.  The smallest is a template and its thickness; every other value has a default that works.
+Unknown keys are errors that name the file, the key and the nearest known one.
+"""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from slabcell.errors import RecipeError
+from slabcell.template import Template, load_template
+
+__all__ = ["GraspParameters", "MatchingParameters", "Recipe", "RecipeFile", "SegmentationParameters", "load_recipe"]
+
+MAX_RECIPE_BYTES = 1 << 20
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class TemplateReference(_Table):
+    """``[template]``: the polygons to be laid."""
+
+    file: str = Field(description="CSV file of the template, relative to the recipe")
+    thickness_mm: Annotated[float, Field(ge=0, le=500)] = Field(description="thickness of the slabs in mm")
+
+
+class SegmentationParameters(_Table):
+    """``[segmentation]``: which pixels belong to slabs."""
+
+    method: Literal["auto", "fixed", "otsu", "local"] = Field(
+        "auto", description="auto chooses between otsu and local and says why"
+    )
+    polarity: Literal["auto", "light", "dark"] = Field("auto", description="slabs are lighter or darker than the table")
+    threshold: Annotated[int, Field(ge=0, le=65535)] | None = Field(
+        None, description="grey level between table and slab, for method fixed"
+    )
+    roi: list[tuple[float, float]] | None = Field(
+        None, min_length=3, max_length=100, description="region of interest: polygon in image pixels"
+    )
+    min_area_mm2: Annotated[float, Field(gt=0)] = Field(25.0, description="smaller blobs are dust and are left out")
+    border: Literal["reject", "keep"] = Field("reject", description="what to do with blobs that touch the picture's rim")
+
+
+class MatchingParameters(_Table):
+    """``[matching]``: which blob is which slot."""
+
+    area_tolerance: Annotated[float, Field(gt=0, le=0.5)] = Field(
+        0.12, description="relative difference of area above which a blob is not compared with a slot"
+    )
+    max_residual_mm: Annotated[float, Field(gt=0, le=50)] = Field(
+        0.6, description="root mean square distance between outline and slot above which a blob is refused"
+    )
+    min_score: Annotated[float, Field(ge=0, le=1)] = Field(0.8, description="score below which a blob is refused")
+
+
+class GraspParameters(_Table):
+    """``[grasp]``: where the suction cup may touch the slab."""
+
+    cup_radius_mm: Annotated[float, Field(ge=0, le=500)] = Field(4.0, description="radius of the suction cup")
+    margin_mm: Annotated[float, Field(ge=0, le=100)] = Field(1.0, description="distance kept between cup and outline")
+
+
+class RecipeFile(_Table):
+    """The recipe as it is written in the file."""
+
+    template: TemplateReference
+    segmentation: SegmentationParameters = SegmentationParameters()
+    matching: MatchingParameters = MatchingParameters()
+    grasp: GraspParameters = GraspParameters()
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A recipe whose template has been read and checked."""
+
+    name: str
+    template: Template
+    thickness_mm: float
+    segmentation: SegmentationParameters
+    matching: MatchingParameters
+    grasp: GraspParameters
+
+    @classmethod
+    def from_template(cls, template: Template, thickness_mm: float) -> Recipe:
+        """Return the smallest recipe: this template, and every parameter at its default."""
+        return cls(
+            template.name,
+            template,
+            thickness_mm,
+            SegmentationParameters(),
+            MatchingParameters(),
+            GraspParameters(),
+        )
+
+
+def load_recipe(path: Path) -> Recipe:
+    """Return the checked recipe of a TOML file.  Raises RecipeError or TemplateError."""
+    written = _parse(path)
+    template = load_template(path.parent / written.template.file)
+    return Recipe(
+        path.stem, template, written.template.thickness_mm, written.segmentation, written.matching, written.grasp
+    )
+
+
+def _parse(path: Path) -> RecipeFile:
+    try:
+        with path.open("rb") as stream:
+            raw = stream.read(MAX_RECIPE_BYTES + 1)
+    except OSError as error:
+        msg = f"{path}: cannot be read: {error.strerror}"
+        raise RecipeError(msg) from error
+    if len(raw) > MAX_RECIPE_BYTES:
+        msg = f"{path}: is larger than {MAX_RECIPE_BYTES} bytes, which no recipe is"
+        raise RecipeError(msg)
+    try:
+        return RecipeFile.model_validate(tomllib.loads(raw.decode("utf-8")))
+    except UnicodeDecodeError as error:
+        msg = f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8"
+        raise RecipeError(msg) from error
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        msg = f"{path}: is not TOML: {error}"
+        raise RecipeError(msg) from error
+    except ValidationError as error:
+        raise RecipeError("\n".join(f"{path}: {line}" for line in explain(error, RecipeFile))) from error
+
+
+def explain(error: ValidationError, model: type[BaseModel]) -> list[str]:
+    """Return one line for each thing that is wrong: key, value and limit, and for an unknown key the nearest known."""
+    lines: list[str] = []
+    for item in error.errors():
+        where = ".".join(str(part) for part in item["loc"])
+        if item["type"] == "extra_forbidden":
+            known = _keys_at(model, item["loc"][:-1])
+            near = difflib.get_close_matches(str(item["loc"][-1]), known, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"known here: {', '.join(known)}"
+            lines.append(f"unknown key {where!r}: {hint}")
+        elif item["type"] == "missing":
+            lines.append(f"key {where!r} is missing")
+        else:
+            lines.append(f"{where} = {item['input']!r}: {item['msg']}"[:300])
+    return lines
+
+
+def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    here: type[BaseModel] = model
+    for part in location:
+        annotation = here.model_fields[str(part)].annotation if str(part) in here.model_fields else None
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            here = annotation
+    return list(here.model_fields)

@@ -1,0 +1,139 @@
+"""What does the vision say of one picture?  Located parts, refused blobs, empty slots and stage times.
+
+`to_document` gives the JSON object of `slabcell locate --json` (schema ``slabcell.locate/1``).
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from slabcell.geometry import PlanarPose, Points, RigidTransform2D
+
+__all__ = ["ImagePose", "LocateResult", "LocatedPart", "RejectedBlob", "RejectionReason", "Sigma"]
+
+
+class RejectionReason(StrEnum):
+    """Why a blob is not a located part."""
+
+    TOO_SMALL = "too_small"
+    TOUCHES_BORDER = "touches_border"
+    NO_SLOT_FITS = "no_slot_fits"
+    SLOT_TAKEN = "slot_taken"
+    TOUCHING = "touching"
+    UNSURE = "unsure"
+    NO_GRASP = "no_grasp"
+
+
+@dataclass(frozen=True, slots=True)
+class ImagePose:
+    """The grasp point in the picture, in pixels, and the direction there of the part's X axis.
+
+    The angle counts counter-clockwise as the picture is seen: from u towards minus v.
+    """
+
+    u: float
+    v: float
+    angle_deg: float
+
+
+@dataclass(frozen=True, slots=True)
+class Sigma:
+    """Standard deviations of the part's pose on the table."""
+
+    x_mm: float
+    y_mm: float
+    a_deg: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocatedPart:
+    """One slab that was found, and the slot it fills.
+
+    ``table_to_assembly`` lays it there: assembly = R·table + t.  ``pick`` and ``place`` are the same physical point,
+    the grasp point, on the table and in the assembly; place.a_deg − pick.a_deg is the rotation.  ``pick.a_deg`` is the
+    direction on the table of the template's own X axis.  ``symmetry_order`` says how many rotations of the part look
+    alike.  ``outline_px`` is the outline in the picture, shape (n, 2), for overlays.
+    """
+
+    slot: int
+    score: float
+    residual_mm: float
+    symmetry_order: int
+    image: ImagePose
+    table_to_assembly: RigidTransform2D
+    pick: PlanarPose
+    place: PlanarPose
+    sigma: Sigma
+    outline_px: Points
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RejectedBlob:
+    """One blob that is not acted on, and why."""
+
+    u: float
+    v: float
+    area_mm2: float
+    reason: RejectionReason
+    detail: str
+    outline_px: Points
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocateResult:
+    """Everything the vision found in one picture.  Stage times are in milliseconds, in the order of the stages."""
+
+    parts: tuple[LocatedPart, ...]
+    rejected: tuple[RejectedBlob, ...]
+    empty_slots: tuple[int, ...]
+    timing_ms: dict[str, float]
+    segmentation: str = ""
+
+    def to_document(self, image: str) -> dict[str, object]:
+        """Return the ``slabcell.locate/1`` object; ``image`` names the picture."""
+        return {
+            "schema": "slabcell.locate/1",
+            "image": image,
+            "segmentation": self.segmentation,
+            "parts": [_part(part) for part in self.parts],
+            "rejected": [
+                {
+                    "image": {"u": round(blob.u, 3), "v": round(blob.v, 3)},
+                    "area_mm2": round(blob.area_mm2, 2),
+                    "reason": blob.reason.value,
+                    "detail": blob.detail,
+                }
+                for blob in self.rejected
+            ],
+            "empty_slots": list(self.empty_slots),
+            "timing_ms": {stage: round(value, 3) for stage, value in self.timing_ms.items()},
+        }
+
+
+def _part(part: LocatedPart) -> dict[str, object]:
+    return {
+        "slot": part.slot,
+        "score": round(part.score, 4),
+        "residual_mm": round(part.residual_mm, 4),
+        "symmetry_order": part.symmetry_order,
+        "image": {
+            "u": round(part.image.u, 3),
+            "v": round(part.image.v, 3),
+            "angle_deg": round(part.image.angle_deg, 4),
+        },
+        "table_to_assembly": {
+            "rotation_deg": round(part.table_to_assembly.rotation_deg, 5),
+            "x_mm": round(part.table_to_assembly.x_mm, 4),
+            "y_mm": round(part.table_to_assembly.y_mm, 4),
+        },
+        "pick": _pose(part.pick),
+        "place": _pose(part.place),
+        "sigma": {
+            "x_mm": round(part.sigma.x_mm, 5),
+            "y_mm": round(part.sigma.y_mm, 5),
+            "a_deg": round(part.sigma.a_deg, 5),
+        },
+    }
+
+
+def _pose(pose: PlanarPose) -> dict[str, float]:
+    return {"x_mm": round(pose.x_mm, 4), "y_mm": round(pose.y_mm, 4), "a_deg": round(pose.a_deg, 5)}
