@@ -37,36 +37,46 @@ class SegmentationParameters(_Table):
     """``[segmentation]``: which pixels belong to slabs."""
 
     method: Literal["auto", "fixed", "otsu", "local"] = Field(
-        "auto", description="auto chooses between otsu and local and says why"
+        default="auto", description="auto chooses between otsu and local and says why"
     )
-    polarity: Literal["auto", "light", "dark"] = Field("auto", description="slabs are lighter or darker than the table")
+    polarity: Literal["auto", "light", "dark"] = Field(
+        default="auto", description="slabs are lighter or darker than the table"
+    )
     threshold: Annotated[int, Field(ge=0, le=65535)] | None = Field(
-        None, description="grey level between table and slab, for method fixed"
+        default=None, description="grey level between table and slab, for method fixed"
     )
     roi: list[tuple[float, float]] | None = Field(
-        None, min_length=3, max_length=100, description="region of interest: polygon in image pixels"
+        default=None, min_length=3, max_length=100, description="region of interest: polygon in image pixels"
     )
-    min_area_mm2: Annotated[float, Field(gt=0)] = Field(25.0, description="smaller blobs are dust and are left out")
-    border: Literal["reject", "keep"] = Field("reject", description="what to do with blobs that touch the picture's rim")
+    min_area_mm2: Annotated[float, Field(gt=0)] = Field(
+        default=25.0, description="smaller blobs are dust and are left out"
+    )
+    border: Literal["reject", "keep"] = Field(
+        default="reject", description="what to do with blobs that touch the picture's rim"
+    )
 
 
 class MatchingParameters(_Table):
     """``[matching]``: which blob is which slot."""
 
     area_tolerance: Annotated[float, Field(gt=0, le=0.5)] = Field(
-        0.12, description="relative difference of area above which a blob is not compared with a slot"
+        default=0.12, description="relative difference of area above which a blob is not compared with a slot"
     )
     max_residual_mm: Annotated[float, Field(gt=0, le=50)] = Field(
-        0.6, description="root mean square distance between outline and slot above which a blob is refused"
+        default=0.6, description="root mean square distance between outline and slot above which a blob is refused"
     )
-    min_score: Annotated[float, Field(ge=0, le=1)] = Field(0.8, description="score below which a blob is refused")
+    min_score: Annotated[float, Field(ge=0, le=1)] = Field(
+        default=0.8, description="score below which a blob is refused"
+    )
 
 
 class GraspParameters(_Table):
     """``[grasp]``: where the suction cup may touch the slab."""
 
-    cup_radius_mm: Annotated[float, Field(ge=0, le=500)] = Field(4.0, description="radius of the suction cup")
-    margin_mm: Annotated[float, Field(ge=0, le=100)] = Field(1.0, description="distance kept between cup and outline")
+    cup_radius_mm: Annotated[float, Field(ge=0, le=500)] = Field(default=4.0, description="radius of the suction cup")
+    margin_mm: Annotated[float, Field(ge=0, le=100)] = Field(
+        default=1.0, description="distance kept between cup and outline"
+    )
 
 
 class RecipeFile(_Table):
