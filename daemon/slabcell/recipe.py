@@ -6,34 +6,27 @@ Unknown keys are errors that name the file, the key and the nearest known one.
 
 from __future__ import annotations
 
-import difflib
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
 from slabcell.errors import RecipeError
 from slabcell.template import Template, load_template
+from slabcell.toml_file import TomlTable, read_toml
 
 __all__ = ["GraspParameters", "MatchingParameters", "Recipe", "RecipeFile", "SegmentationParameters", "load_recipe"]
 
-MAX_RECIPE_BYTES = 1 << 20
 
-
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class TemplateReference(_Table):
+class TemplateReference(TomlTable):
     """``[template]``: the polygons to be laid."""
 
     file: str = Field(description="CSV file of the template, relative to the recipe")
     thickness_mm: Annotated[float, Field(ge=0, le=500)] = Field(description="thickness of the slabs in mm")
 
 
-class SegmentationParameters(_Table):
+class SegmentationParameters(TomlTable):
     """``[segmentation]``: which pixels belong to slabs."""
 
     method: Literal["auto", "fixed", "otsu", "local"] = Field(
@@ -56,7 +49,7 @@ class SegmentationParameters(_Table):
     )
 
 
-class MatchingParameters(_Table):
+class MatchingParameters(TomlTable):
     """``[matching]``: which blob is which slot."""
 
     area_tolerance: Annotated[float, Field(gt=0, le=0.5)] = Field(
@@ -70,7 +63,7 @@ class MatchingParameters(_Table):
     )
 
 
-class GraspParameters(_Table):
+class GraspParameters(TomlTable):
     """``[grasp]``: where the suction cup may touch the slab."""
 
     cup_radius_mm: Annotated[float, Field(ge=0, le=500)] = Field(default=4.0, description="radius of the suction cup")
@@ -79,7 +72,7 @@ class GraspParameters(_Table):
     )
 
 
-class RecipeFile(_Table):
+class RecipeFile(TomlTable):
     """The recipe as it is written in the file."""
 
     template: TemplateReference
@@ -114,56 +107,8 @@ class Recipe:
 
 def load_recipe(path: Path) -> Recipe:
     """Return the checked recipe of a TOML file.  Raises RecipeError or TemplateError."""
-    written = _parse(path)
+    written = read_toml(path, RecipeFile, RecipeError)
     template = load_template(path.parent / written.template.file)
     return Recipe(
         path.stem, template, written.template.thickness_mm, written.segmentation, written.matching, written.grasp
     )
-
-
-def _parse(path: Path) -> RecipeFile:
-    try:
-        with path.open("rb") as stream:
-            raw = stream.read(MAX_RECIPE_BYTES + 1)
-    except OSError as error:
-        msg = f"{path}: cannot be read: {error.strerror}"
-        raise RecipeError(msg) from error
-    if len(raw) > MAX_RECIPE_BYTES:
-        msg = f"{path}: is larger than {MAX_RECIPE_BYTES} bytes, which no recipe is"
-        raise RecipeError(msg)
-    try:
-        return RecipeFile.model_validate(tomllib.loads(raw.decode("utf-8")))
-    except UnicodeDecodeError as error:
-        msg = f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8"
-        raise RecipeError(msg) from error
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        msg = f"{path}: is not TOML: {error}"
-        raise RecipeError(msg) from error
-    except ValidationError as error:
-        raise RecipeError("\n".join(f"{path}: {line}" for line in explain(error, RecipeFile))) from error
-
-
-def explain(error: ValidationError, model: type[BaseModel]) -> list[str]:
-    """Return one line for each thing that is wrong: key, value and limit, and for an unknown key the nearest known."""
-    lines: list[str] = []
-    for item in error.errors():
-        where = ".".join(str(part) for part in item["loc"])
-        if item["type"] == "extra_forbidden":
-            known = _keys_at(model, item["loc"][:-1])
-            near = difflib.get_close_matches(str(item["loc"][-1]), known, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"known here: {', '.join(known)}"
-            lines.append(f"unknown key {where!r}: {hint}")
-        elif item["type"] == "missing":
-            lines.append(f"key {where!r} is missing")
-        else:
-            lines.append(f"{where} = {item['input']!r}: {item['msg']}"[:300])
-    return lines
-
-
-def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
-    here: type[BaseModel] = model
-    for part in location:
-        annotation = here.model_fields[str(part)].annotation if str(part) in here.model_fields else None
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            here = annotation
-    return list(here.model_fields)
