@@ -1,0 +1,196 @@
+"""How does a robot reach the cell over EKI?  `EkiServer`: the TCP server that the controller connects to.
+
+The robot is the TCP client (the role of ``krl/SlabCell.xml``): no port need be opened on the controller, and after a
+loss it is the robot that comes back.  One robot at a time.  Who comes second?  A newcomer from the same address is the
+robot itself, which has noticed a loss that we have not: it replaces the old connection.  A newcomer from another
+address replaces it only if the old one has been silent for ``dead_after_s``; otherwise it is turned away.
+
+A dead peer is noticed by TCP keep-alive (a pulled cable: within two seconds, with no help from the program) and, once
+a robot has sent a heartbeat on its connection, by the heartbeat's absence.
+
+The handler runs for one request at a time, over all connections: a request that is under way when the connection is
+lost is finished first, its answer is dropped, and only then the new connection's HELLO is handed on.
+"""
+
+import asyncio
+import dataclasses
+import socket
+import time
+from collections.abc import Callable
+
+import structlog
+
+from slabcell_drivers.robot.eki.codec import TelegramError, encode_answer
+from slabcell_drivers.robot.eki.connection import Connection, Direction, EndReason, TelegramHook
+from slabcell_drivers.robot.protocol import Answer, Handler, LinkState, Request
+
+__all__ = ["HANDLER_FAILED_CODE", "Direction", "EkiServer", "EndReason", "TelegramHook"]
+
+HANDLER_FAILED_CODE = 1900
+"""Entry of the error catalogue for "the cell itself failed while it answered"."""
+HANDLER_FAILED_TEXT = "slabcell: internal error, see the cell's log"
+
+_log = structlog.get_logger(__name__)
+
+
+class EkiServer:
+    """A `RobotLink` on a TCP port.
+
+    ``port`` 0 takes a free one; `address` says which.  ``allowed_hosts`` empty means any host.  ``on_telegram`` sees
+    every telegram and ``on_state`` every change of state; both are called in the event loop and must not block.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        *,
+        allowed_hosts: frozenset[str] = frozenset(),
+        heartbeat_timeout_s: float = 3.0,
+        dead_after_s: float = 3.0,
+        on_telegram: TelegramHook | None = None,
+        on_state: Callable[[LinkState], None] | None = None,
+    ) -> None:
+        self._host, self._port = host, port
+        self._allowed_hosts = allowed_hosts
+        self._heartbeat_timeout_s = heartbeat_timeout_s
+        self._dead_after_s = dead_after_s
+        self._on_telegram = on_telegram
+        self._on_state = on_state
+        self._state = LinkState.CLOSED
+        self._server: asyncio.Server | None = None
+        self._handler: Handler | None = None
+        self._turn = asyncio.Lock()
+        self._current: Connection | None = None
+        self._current_host = ""
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._answers: set[asyncio.Task[Answer]] = set()
+        self.last_end: EndReason | None = None
+        """Why the last connection ended."""
+
+    @property
+    def state(self) -> LinkState:
+        """Where the link stands now."""
+        return self._state
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Host and port that the link listens on.  Raises RuntimeError while it does not."""
+        if self._server is None:
+            raise RuntimeError("the EKI server is not started: call start() first")
+        host, port = self._server.sockets[0].getsockname()[:2]
+        return str(host), int(port)
+
+    async def start(self, handler: Handler) -> None:
+        """Begin to listen.  Raises OSError if the address is taken, RuntimeError if already started."""
+        if self._server is not None:
+            raise RuntimeError("the EKI server is already started")
+        self._handler = handler
+        self._server = await asyncio.start_server(self._accept, self._host, self._port, backlog=4)
+        self._set_state(LinkState.LISTENING)
+
+    async def stop(self) -> None:
+        """Close the connection and the port.  A request under way is finished first.  May be called twice."""
+        server, self._server = self._server, None
+        if server is None:
+            return
+        server.close()
+        if self._current is not None:
+            self._current.end(EndReason.STOPPED)
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await asyncio.gather(*self._answers, return_exceptions=True)
+        await server.wait_closed()
+        self._set_state(LinkState.CLOSED)
+
+    def _set_state(self, state: LinkState) -> None:
+        if state is self._state:
+            return
+        self._state = state
+        _log.info("eki.state", state=state.value)
+        if self._on_state is not None:
+            self._on_state(state)
+
+    # ----------------------------------------------------------------------------------------------------- connections
+
+    def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        host = str(writer.get_extra_info("peername")[0])
+        refusal = self._refusal(host)
+        if refusal:
+            _log.warning("eki.refused", host=host, reason=refusal)
+            writer.transport.abort()
+            return
+        if self._current is not None:
+            self._current.end(EndReason.REPLACED)
+        connection = Connection(
+            reader,
+            writer,
+            self._answer,
+            heartbeat_timeout_s=self._heartbeat_timeout_s,
+            on_telegram=self._on_telegram,
+        )
+        _keep_alive(writer.get_extra_info("socket"))
+        self._current, self._current_host = connection, host
+        self._set_state(LinkState.CONNECTED)
+        task = asyncio.get_running_loop().create_task(self._serve(connection, host))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    def _refusal(self, host: str) -> str:
+        if self._server is None:
+            return "the link is being stopped"
+        if self._allowed_hosts and host not in self._allowed_hosts:
+            return f"only {', '.join(sorted(self._allowed_hosts))} may connect"
+        if self._current is not None and host != self._current_host:
+            silent_s = time.monotonic() - self._current.last_received_s
+            if silent_s < self._dead_after_s:
+                return f"{self._current_host} is connected and was heard {silent_s:.1f} s ago"
+        return ""
+
+    async def _serve(self, connection: Connection, host: str) -> None:
+        _log.info("eki.connected", host=host)
+        reason = await connection.run()
+        self.last_end = reason
+        _log.info("eki.disconnected", host=host, reason=reason.value)
+        if self._current is connection:
+            self._current = None
+            if self._server is not None:
+                self._set_state(LinkState.LISTENING)
+
+    # --------------------------------------------------------------------------------------------------------- answers
+
+    async def _answer(self, request: Request) -> Answer:
+        """Ask the handler, in turn.  Its work outlives the connection: it may be half way through a ledger."""
+        task = asyncio.get_running_loop().create_task(self._ask(request))
+        self._answers.add(task)
+        task.add_done_callback(self._answers.discard)
+        return await asyncio.shield(task)
+
+    async def _ask(self, request: Request) -> Answer:
+        if self._handler is None:
+            raise RuntimeError("a request arrived before start()")
+        async with self._turn:
+            try:
+                answer = await self._handler(request)
+                encode_answer(answer)
+            except TelegramError as error:
+                _log.exception("eki.answer_unsendable", request=request.type.name)
+                return _failure(request, str(error))
+            except Exception:  # noqa: BLE001 - the robot must get an answer, whatever the cell's fault is
+                _log.exception("eki.handler_failed", request=request.type.name, sequence=request.sequence)
+                return _failure(request, HANDLER_FAILED_TEXT)
+        return dataclasses.replace(answer, acknowledges=request.sequence)
+
+
+def _failure(request: Request, text: str) -> Answer:
+    return Answer(request.session, request.sequence, request.sequence, HANDLER_FAILED_CODE, message=text)
+
+
+def _keep_alive(sock: socket.socket) -> None:
+    """Have the kernel notice a dead peer within two seconds: a probe after one second of silence, one to answer it."""
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 1)
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 1)
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, 1)
+    # Also when an answer of ours stays unacknowledged, which keep-alive alone does not cover.
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, 2000)
