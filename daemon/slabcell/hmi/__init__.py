@@ -1,0 +1,1 @@
+"""Pages for people: what the cell did, as HTML that works without a network."""
