@@ -1,0 +1,346 @@
+"""What was offered to the robot, and what became of it?  The durable record, in SQLite.
+
+`LedgerFile` is the file itself, plain and blocking; `Ledger` runs it in a thread of its own for asyncio.  Every method
+that writes is one transaction, and with WAL and ``synchronous=FULL`` one transaction is one fsync.  What must hold is
+in the schema, not only in the code: result ids strictly increase over restarts (AUTOINCREMENT), a slot of a job has at
+most one slab that is laid, under way or unresolved, and at most one slab at a time is in the robot's hand.
+
+Source of the durability rules: SQLite documentation, "PRAGMA synchronous" and "Write-Ahead Logging".
+"""
+
+from __future__ import annotations
+
+import asyncio
+import sqlite3
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import astuple
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TypeVar, cast
+
+from slabcell.catalogue import Fault
+from slabcell.cell.records import STEPS, Job, JobState, OfferRecord, OfferState, Pair, PlacementRecord
+from slabcell.cell.schema import MIGRATIONS
+from slabcell.errors import SlabcellError
+from slabcell_drivers.robot.frame import Frame
+
+__all__ = ["Ledger", "LedgerError", "LedgerFile"]
+
+APPLICATION_ID = 0x736C6162  # "slab": tells our file from any other SQLite file
+BUSY_TIMEOUT_S = 2.0
+
+_T = TypeVar("_T")
+_O = OfferState
+
+
+class LedgerError(SlabcellError):
+    """The ledger cannot be opened, read or written, or was asked for a step that it does not allow."""
+
+
+def _utc_now() -> str:
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+class LedgerFile:
+    """The ledger's file.  Blocking; used by one thread.
+
+    Raises `LedgerError` on a file that cannot be opened, is damaged, or was written by a newer version.
+    """
+
+    def __init__(self, path: Path, *, now: Callable[[], str] = _utc_now) -> None:
+        self.path = path
+        self._now = now
+        try:
+            self._db = sqlite3.connect(path, timeout=BUSY_TIMEOUT_S, isolation_level=None)
+        except sqlite3.Error as error:
+            msg = f"{path}: cannot be opened: {error}; check that the directory exists and may be written"
+            raise LedgerError(msg, number=Fault.LEDGER_UNWRITABLE) from error
+        try:
+            self._prepare()
+        except BaseException:
+            self._db.close()
+            raise
+
+    def _prepare(self) -> None:
+        try:
+            (application,) = self._db.execute("PRAGMA application_id").fetchone()
+            (version,) = self._db.execute("PRAGMA user_version").fetchone()
+            if (application, version) != (0, 0) and application != APPLICATION_ID:
+                msg = f"{self.path}: is an SQLite file, but not a ledger of slabcell; name another file"
+                raise LedgerError(msg, number=Fault.LEDGER_DAMAGED)
+            if version > len(MIGRATIONS):
+                msg = (
+                    f"{self.path}: has schema {version}, this version knows schemas up to {len(MIGRATIONS)};"
+                    " install the newer version again, or restore the ledger that belongs to this one"
+                )
+                raise LedgerError(msg, number=Fault.LEDGER_NEWER)
+            (verdict,) = self._db.execute("PRAGMA quick_check(1)").fetchone()
+            if verdict != "ok":
+                msg = f"{self.path}: is damaged: {verdict}; keep the file, and restore a copy"
+                raise LedgerError(msg, number=Fault.LEDGER_DAMAGED)
+            self._db.execute("PRAGMA journal_mode=WAL")
+            self._db.execute("PRAGMA synchronous=FULL")
+            self._db.execute("PRAGMA foreign_keys=ON")
+            for step, script in enumerate(MIGRATIONS[version:], start=version + 1):
+                with self._transaction():
+                    for statement in script:
+                        self._db.execute(statement)
+                    self._db.execute(f"PRAGMA application_id={APPLICATION_ID}")
+                    self._db.execute(f"PRAGMA user_version={step}")
+        except sqlite3.DatabaseError as error:
+            raise _named(self.path, error) from error
+
+    def close(self) -> None:
+        """Close the file; may be called twice."""
+        self._db.close()
+
+    @contextmanager
+    def _transaction(self) -> Generator[None]:
+        """One durable step: all of it, or nothing."""
+        try:
+            self._db.execute("BEGIN IMMEDIATE")
+            try:
+                yield
+            except BaseException:
+                self._db.execute("ROLLBACK")
+                raise
+            self._db.execute("COMMIT")
+        except sqlite3.Error as error:
+            if self._db.in_transaction:  # a COMMIT that failed leaves the transaction open
+                self._db.execute("ROLLBACK")
+            raise _named(self.path, error) from error
+
+    def _rows(self, query: str, *values: object) -> list[tuple[object, ...]]:
+        try:
+            return self._db.execute(query, values).fetchall()
+        except sqlite3.Error as error:
+            raise _named(self.path, error) from error
+
+    def new_session(self, cause: str) -> int:
+        """Return a session number larger than any before."""
+        with self._transaction():
+            cursor = self._db.execute("INSERT INTO sessions (began_utc, cause) VALUES (?, ?)", (self._now(), cause))
+            return cast("int", cursor.lastrowid)
+
+    def keep_above(self, result_id: int) -> None:
+        """See to it that every result id to come is larger than ``result_id``, which a robot remembers."""
+        with self._transaction():
+            self._db.execute(
+                "INSERT INTO sqlite_sequence (name, seq) SELECT 'offers', 0"
+                " WHERE NOT EXISTS (SELECT 1 FROM sqlite_sequence WHERE name = 'offers')"
+            )
+            self._db.execute("UPDATE sqlite_sequence SET seq = max(seq, ?) WHERE name = 'offers'", (result_id,))
+
+    def last_job(self) -> Job | None:
+        """Return the job begun last."""
+        rows = self._rows(
+            "SELECT job_id, robot_job, recipe, template_sha256, slots, state FROM jobs ORDER BY job_id DESC LIMIT 1"
+        )
+        return _job(rows[0]) if rows else None
+
+    def begin_job(self, robot_job: int, recipe: str, template_sha256: str, slots: int) -> Job:
+        """Return a new open job."""
+        with self._transaction():
+            cursor = self._db.execute(
+                "INSERT INTO jobs (robot_job, recipe, template_sha256, slots, state, began_utc)"
+                " VALUES (?, ?, ?, ?, 'open', ?)",
+                (robot_job, recipe, template_sha256, slots, self._now()),
+            )
+        return Job(cast("int", cursor.lastrowid), robot_job, recipe, template_sha256, slots, JobState.OPEN)
+
+    def end_job(self, job_id: int, state: JobState) -> None:
+        """Close a job."""
+        with self._transaction():
+            self._db.execute(
+                "UPDATE jobs SET state = ?, ended_utc = ? WHERE job_id = ?", (state.value, self._now(), job_id)
+            )
+
+    def record_cycle(self, job_id: int, session: int, sequence: int, pairs: Sequence[Pair]) -> list[OfferRecord]:
+        """Write one cycle and its results, in the order in which they shall be laid; return them with their ids."""
+        with self._transaction():
+            cursor = self._db.execute(
+                "INSERT INTO cycles (job_id, session, trigger_sequence, began_utc) VALUES (?, ?, ?, ?)",
+                (job_id, session, sequence, self._now()),
+            )
+            cycle_id = cast("int", cursor.lastrowid)
+            offers: list[OfferRecord] = []
+            for index, pair in enumerate(pairs):
+                cursor = self._db.execute(
+                    "INSERT INTO offers (job_id, cycle_id, idx, slot, state, score, reason, changed_utc,"
+                    " pick_x, pick_y, pick_z, pick_a, pick_b, pick_c,"
+                    " place_x, place_y, place_z, place_a, place_b, place_c)"
+                    " VALUES (?, ?, ?, ?, 'planned', ?, '', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                    (
+                        *(job_id, cycle_id, index, pair.slot, pair.score, self._now()),
+                        *astuple(pair.pick),
+                        *astuple(pair.place),
+                    ),
+                )
+                result_id = cast("int", cursor.lastrowid)
+                offers.append(
+                    OfferRecord(
+                        result_id, job_id, cycle_id, index, pair.slot, _O.PLANNED, pair.score, pair.pick, pair.place, ""
+                    )
+                )
+        return offers
+
+    def move(
+        self, result_id: int, state: OfferState, *, session: int = 0, sequence: int = 0, reason: str = ""
+    ) -> OfferRecord:
+        """Write that a result is now in ``state``, and who said so.  The state it is in already is no error.
+
+        Raises `LedgerError` for an unknown result and for a step that the ledger does not allow.
+        """
+        before = self.offer(result_id)
+        if before is None:
+            msg = f"result {result_id} is not in the ledger"
+            raise LedgerError(msg, number=Fault.LEDGER_ERROR)
+        if before.state is state:
+            return before
+        if state not in STEPS[before.state]:
+            msg = f"result {result_id} is {before.state} and cannot become {state}"
+            raise LedgerError(msg, number=Fault.LEDGER_ERROR)
+        with self._transaction():
+            self._write_state(result_id, state, session, sequence, reason)
+        after = self.offer(result_id)
+        assert after is not None  # noqa: S101  (written in this thread a line above)
+        return after
+
+    def void(self, job_id: int, *, session: int = 0, reason: str) -> list[int]:
+        """Take back what the robot has not begun with (planned or offered); return the result ids."""
+        ids = [
+            cast("int", row[0])
+            for row in self._rows(
+                "SELECT result_id FROM offers WHERE job_id = ? AND state IN ('planned', 'offered')", job_id
+            )
+        ]
+        if ids:
+            with self._transaction():
+                for result_id in ids:
+                    self._write_state(result_id, _O.VOID, session, 0, reason)
+        return ids
+
+    def _write_state(self, result_id: int, state: OfferState, session: int, sequence: int, reason: str) -> None:
+        now = self._now()
+        self._db.execute(
+            "UPDATE offers SET state = ?, reason = ?, changed_utc = ? WHERE result_id = ?",
+            (state.value, reason, now, result_id),
+        )
+        self._db.execute(
+            "INSERT INTO acknowledgements (result_id, state, session, sequence, reason, at_utc)"
+            " VALUES (?, ?, ?, ?, ?, ?)",
+            (result_id, state.value, session, sequence, reason, now),
+        )
+
+    def offer(self, result_id: int) -> OfferRecord | None:
+        """Return one result."""
+        rows = self._rows(f"{_OFFERS} WHERE result_id = ?", result_id)
+        return _offer(rows[0]) if rows else None
+
+    def offers(self, job_id: int) -> list[OfferRecord]:
+        """Return the results of a job in the order of their ids."""
+        return [_offer(row) for row in self._rows(f"{_OFFERS} WHERE job_id = ? ORDER BY result_id", job_id)]
+
+    def record_placements(self, job_id: int, placements: Sequence[PlacementRecord]) -> None:
+        """Write how the slabs of a job lie."""
+        with self._transaction():
+            self._db.executemany(
+                "INSERT INTO placements (job_id, slot, found, dx_mm, dy_mm, da_deg, residual_mm, at_utc)"
+                " VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+                [(job_id, *astuple(item), self._now()) for item in placements],
+            )
+
+    def rows(self, table: str, job_id: int | None = None) -> list[dict[str, object]]:
+        """Return the rows of ``jobs``, ``cycles``, ``offers``, ``acknowledgements`` or ``placements`` as they stand."""
+        if table not in _TABLES:
+            msg = f"the ledger has no table {table!r}; it has {', '.join(_TABLES)}"
+            raise LedgerError(msg, number=Fault.LEDGER_ERROR)
+        where = "" if job_id is None else " WHERE job_id = ?"
+        if table == "acknowledgements" and job_id is not None:
+            where = " WHERE result_id IN (SELECT result_id FROM offers WHERE job_id = ?)"
+        try:
+            cursor = self._db.execute(
+                f"SELECT * FROM {table}{where} ORDER BY 1",  # noqa: S608  (the name was checked against a fixed list)
+                () if job_id is None else (job_id,),
+            )
+            names = [column[0] for column in cursor.description]
+            return [dict(zip(names, row, strict=True)) for row in cursor.fetchall()]
+        except sqlite3.Error as error:
+            raise _named(self.path, error) from error
+
+
+_TABLES = ("jobs", "cycles", "offers", "acknowledgements", "placements", "sessions")
+
+_OFFERS = (
+    "SELECT result_id, job_id, cycle_id, idx, slot, state, score, pick_x, pick_y, pick_z, pick_a, pick_b, pick_c,"
+    " place_x, place_y, place_z, place_a, place_b, place_c, reason FROM offers"
+)
+
+
+def _offer(row: tuple[object, ...]) -> OfferRecord:
+    result_id, job_id, cycle_id, index, slot = cast("tuple[int, int, int, int, int]", row[:5])
+    numbers = cast("tuple[float, ...]", row[7:19])
+    return OfferRecord(
+        *(result_id, job_id, cycle_id, index, slot, OfferState(cast("str", row[5])), cast("float", row[6])),
+        Frame(*numbers[:6]),
+        Frame(*numbers[6:]),
+        cast("str", row[19]),
+    )
+
+
+def _job(row: tuple[object, ...]) -> Job:
+    job_id, robot_job, recipe, sha, slots, state = cast("tuple[int, int, str, str, int, str]", row)
+    return Job(job_id, robot_job, recipe, sha, slots, JobState(state))
+
+
+def _named(path: Path, error: sqlite3.Error) -> LedgerError:
+    """Return the error as a person needs it: full disk, read-only, damaged, in use, or something else."""
+    name = getattr(error, "sqlite_errorname", "")
+    if name.startswith("SQLITE_FULL"):
+        return LedgerError(f"{path}: the disk is full: free some space, then clear the alarm", number=Fault.DISK_FULL)
+    if name.startswith(("SQLITE_READONLY", "SQLITE_IOERR", "SQLITE_CANTOPEN", "SQLITE_PERM")):
+        return LedgerError(
+            f"{path}: cannot be written ({name}: {error}); check disk and permissions", number=Fault.LEDGER_UNWRITABLE
+        )
+    if name.startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB")):
+        return LedgerError(
+            f"{path}: is damaged ({name}: {error}); keep the file, and restore a copy", number=Fault.LEDGER_DAMAGED
+        )
+    if name.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
+        return LedgerError(
+            f"{path}: is in use by another process; is a second slabcell running?", number=Fault.LEDGER_IN_USE
+        )
+    return LedgerError(f"{path}: {name or type(error).__name__}: {error}", number=Fault.LEDGER_ERROR)
+
+
+class Ledger:
+    """The ledger for asyncio: one thread, one step after the other."""
+
+    def __init__(self, file: LedgerFile, executor: ThreadPoolExecutor) -> None:
+        self._file = file
+        self._executor = executor
+
+    @classmethod
+    async def open(cls, path: Path) -> Ledger:
+        """Open or create the file.  Raises `LedgerError`."""
+        executor = ThreadPoolExecutor(1, thread_name_prefix="slabcell-ledger")
+        try:
+            file = await asyncio.get_running_loop().run_in_executor(executor, LedgerFile, path)
+        except BaseException:
+            executor.shutdown(wait=False)
+            raise
+        return cls(file, executor)
+
+    async def run(self, work: Callable[[LedgerFile], _T]) -> _T:
+        """Return what ``work`` returns in the ledger's thread.  A cancelled caller does not undo the work."""
+        return await asyncio.get_running_loop().run_in_executor(self._executor, work, self._file)
+
+    async def close(self) -> None:
+        """Close the file and end the thread; may be called twice."""
+        try:
+            await asyncio.get_running_loop().run_in_executor(self._executor, self._file.close)
+        except RuntimeError:  # the executor has been shut down already
+            return
+        self._executor.shutdown(wait=True)
