@@ -1,0 +1,284 @@
+"""How does the arm get from here to there, and may it?  Plans of PTP, LIN and CIRC moves as trajectories over time.
+
+A plan is made whole before the arm moves, and every check is made with it: axis limits, reach, wrist singularity and,
+along a path, the speed of each axis.  What fails raises `MotionError` with the number and text of a controller message.
+
+Simplifications against the controller: trapezoidal speed (no jerk limit), all axes of a PTP in phase, orientation along
+a path turned about one fixed axis, accelerations assumed (see `slabcell_drivers.robot.arm`).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+from slabcell_drivers.krc.motion_path import Arc, Line, Turning, flange_of, quaternion_of, rotation_of
+from slabcell_drivers.krc.motion_profile import Trapezoid
+from slabcell_drivers.krc.unconfirmed import SINGULAR_A5_DEG, MotionMessage
+from slabcell_drivers.robot.arm import ArmError, ArmFault, ArmModel, Axes
+from slabcell_drivers.robot.arm_solve import Pose, pose_of_frame
+from slabcell_drivers.robot.frame import Frame
+
+__all__ = ["INTERPOLATION_TICK_S", "MotionError", "PathLimits", "Trajectory", "plan_circ", "plan_lin", "plan_ptp"]
+
+INTERPOLATION_TICK_S = 0.012
+CHECK_EVERY_MM = 1.0
+CHECK_EVERY_DEG = 0.5
+AXIS_SPEED_TOLERANCE = 1.02  # a finite difference over one check step is not exact
+NULL_TOOL = Frame()
+
+
+class MotionError(Exception):
+    """A move that the controller would refuse or stop: ``number`` and ``text`` of its message."""
+
+    def __init__(self, message: MotionMessage, text: str) -> None:
+        super().__init__(text)
+        self.number = int(message)
+        self.message = message
+        self.text = text
+
+
+class MotionKind(StrEnum):
+    """What a trajectory was planned as."""
+
+    PTP = "PTP"
+    LIN = "LIN"
+    CIRC = "CIRC"
+    BLENDED = "BLENDED"
+
+
+@dataclass(frozen=True, slots=True)
+class PathLimits:
+    """Speeds and accelerations of the tool centre point: in KRL $VEL.CP, $ACC.CP, and the ORI1 values in degrees."""
+
+    speed_m_s: float = 0.25
+    acceleration_m_s2: float = 2.3
+    turn_speed_deg_s: float = 200.0
+    turn_acceleration_deg_s2: float = 1000.0
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """One planned move: where the axes are at every moment of it.
+
+    Times before the start and after the end give the start and the end.
+    """
+
+    arm: ArmModel
+    kind: MotionKind
+    start_axes: Axes
+    end_axes: Axes
+    duration_s: float
+    axes_at: Callable[[float], Axes]
+    """Axis angles at a time in seconds after the start."""
+
+    def frame_at(self, time_s: float) -> Frame:
+        """Return the flange in the root frame at a time in seconds after the start."""
+        return self.arm.forward(self.axes_at(time_s))
+
+
+def plan_ptp(
+    arm: ArmModel, start: Axes, target: Axes, *, speed_percent: float = 100.0, acceleration_percent: float = 100.0
+) -> Trajectory:
+    """Return the move in which every axis runs in step with the slowest.  Raises MotionError at an axis limit.
+
+    The percentages are of the arm's axis speeds and accelerations ($VEL_AXIS, $ACC_AXIS).
+    """
+    _check_percent("velocity", speed_percent)
+    _check_percent("acceleration", acceleration_percent)
+    try:
+        arm.check_limits(target)
+    except ArmError as error:
+        raise _as_motion_error(error) from error
+    # one profile over the fraction of the way keeps all axes in phase: the slowest axis sets speed and acceleration
+    distance = tuple(target[i] - start[i] for i in range(6))
+    moving = [i for i in range(6) if distance[i] != 0.0]
+    if not moving:
+        return Trajectory(arm, MotionKind.PTP, start, target, 0.0, lambda _: target)
+    speed = min(arm.axis_speed_deg_s[i] * speed_percent / 100.0 / abs(distance[i]) for i in moving)
+    acceleration = min(
+        arm.axis_acceleration_deg_s2[i] * acceleration_percent / 100.0 / abs(distance[i]) for i in moving
+    )
+    profile = Trapezoid.fastest(1.0, speed, acceleration)
+
+    def axes_at(time_s: float) -> Axes:
+        s = profile.position(time_s)
+        if s >= 1.0:
+            return target
+        return (
+            start[0] + s * distance[0],
+            start[1] + s * distance[1],
+            start[2] + s * distance[2],
+            start[3] + s * distance[3],
+            start[4] + s * distance[4],
+            start[5] + s * distance[5],
+        )
+
+    return Trajectory(arm, MotionKind.PTP, start, target, profile.duration_s, axes_at)
+
+
+def plan_lin(arm: ArmModel, start: Axes, target: Frame, limits: PathLimits, *, tool: Frame = NULL_TOOL) -> Trajectory:
+    """Return the move of the tool centre point on a straight line to ``target`` (in the root frame).
+
+    The status is kept along the way and the turns follow the path, as on the controller, which ignores the S and T of
+    such a target.  Raises MotionError: out of reach, axis limit, singularity, axis too fast.
+    """
+    tcp = _tcp(arm, start, tool)
+    goal = pose_of_frame(target)
+    return _plan_path(arm, MotionKind.LIN, start, Line(tcp.position, goal.position), goal, limits, tool)
+
+
+def plan_circ(
+    arm: ArmModel,
+    start: Axes,
+    auxiliary: Frame,
+    target: Frame,
+    limits: PathLimits,
+    *,
+    tool: Frame = NULL_TOOL,
+    circular_angle_deg: float | None = None,
+) -> Trajectory:
+    """Return the move on the circle through the auxiliary point to ``target``, or over ``circular_angle_deg`` of it.
+
+    The orientation turns from the start to that of ``target``; that of the auxiliary point is not regarded.  Raises
+    MotionError as `plan_lin` does, and if the three points define no circle.
+    """
+    tcp = _tcp(arm, start, tool)
+    aux, goal = pose_of_frame(auxiliary), pose_of_frame(target)
+    try:
+        arc = Arc.through(tcp.position, aux.position, goal.position, angle_deg=circular_angle_deg)
+    except ValueError as error:
+        raise MotionError(MotionMessage.CIRCLE, f"CIRC not possible: {error}") from error
+    return _plan_path(arm, MotionKind.CIRC, start, arc, goal, limits, tool)
+
+
+def _tcp(arm: ArmModel, axes: Axes, tool: Frame) -> Pose:
+    flange = arm.forward_pose(axes)
+    return flange if tool == NULL_TOOL else flange_of(flange, pose_of_frame(tool))
+
+
+def _plan_path(
+    arm: ArmModel, kind: MotionKind, start: Axes, path: Line | Arc, goal: Pose, limits: PathLimits, tool: Frame
+) -> Trajectory:
+    turning = Turning.between(quaternion_of(_tcp(arm, start, tool).rotation), quaternion_of(goal.rotation))
+    profile = _path_profile(path.length_mm, turning.angle_deg, limits)
+    tool_inverse = pose_of_frame(tool.inverse())
+
+    def flange_at(fraction: float) -> Pose:
+        return flange_of(Pose(path.at(fraction), rotation_of(turning.at(fraction))), tool_inverse)
+
+    try:
+        arm.inverse(flange_at(1.0), near=start)
+    except ArmError as error:
+        raise _as_motion_error(error) from error
+    tracker = _Tracker(arm, start)
+    samples: list[tuple[float, Axes]] = [(0.0, start)]
+    ticks = profile.duration_s / INTERPOLATION_TICK_S
+    steps = max(1, round(min(ticks, max(path.length_mm / CHECK_EVERY_MM, turning.angle_deg / CHECK_EVERY_DEG))))
+    for step in range(1, steps + 1):
+        time_s = profile.duration_s * step / steps
+        axes = tracker.follow(flange_at(profile.position(time_s)), time_s, last=step == steps)
+        samples.append((time_s, axes))
+
+    def axes_at(time_s: float) -> Axes:
+        if time_s <= 0.0:
+            return start
+        if time_s >= profile.duration_s:
+            return samples[-1][1]
+        _, nearest = samples[round(time_s / profile.duration_s * steps)]
+        return arm.inverse(flange_at(profile.position(time_s)), near=nearest)
+
+    return Trajectory(arm, kind, start, samples[-1][1], profile.duration_s, axes_at)
+
+
+def _path_profile(length_mm: float, angle_deg: float, limits: PathLimits) -> Trapezoid:
+    """Return the profile over the fraction of the path that keeps the limits of both position and orientation."""
+    for name, value in (
+        ("$VEL.CP", limits.speed_m_s),
+        ("$ACC.CP", limits.acceleration_m_s2),
+        ("$VEL.ORI1", limits.turn_speed_deg_s),
+        ("$ACC.ORI1", limits.turn_acceleration_deg_s2),
+    ):
+        if not value > 0.0:
+            raise MotionError(MotionMessage.VALUE, f"{name} invalid: {value:g} is not above 0")
+    speeds: list[float] = []
+    accelerations: list[float] = []
+    if length_mm > 1e-6:
+        speeds.append(limits.speed_m_s * 1000.0 / length_mm)
+        accelerations.append(limits.acceleration_m_s2 * 1000.0 / length_mm)
+    if angle_deg > 1e-6:
+        speeds.append(limits.turn_speed_deg_s / angle_deg)
+        accelerations.append(limits.turn_acceleration_deg_s2 / angle_deg)
+    if not speeds:
+        return Trapezoid.fastest(0.0, 1.0, 1.0)
+    return Trapezoid.fastest(1.0, min(speeds), min(accelerations))
+
+
+class _Tracker:
+    """Follows a path with the axes, step by step, and refuses what the arm cannot do."""
+
+    def __init__(self, arm: ArmModel, start: Axes) -> None:
+        self._arm = arm
+        self._axes = start
+        self._time_s = 0.0
+        # a path that begins in the wrist singularity has no status yet: the first step out of it decides
+        self._status = None if abs(start[4]) < SINGULAR_A5_DEG else arm.status_turn(start)[0]
+
+    def follow(self, flange: Pose, time_s: float, *, last: bool) -> Axes:
+        arm, before = self._arm, self._axes
+        try:
+            axes = arm.inverse(flange, near=before, status=self._status)
+        except ArmError as error:
+            axes = self._at_singular_end(flange, error) if last else None
+            if axes is None:
+                self._refuse_singular(flange, error)
+                raise _as_motion_error(error) from error
+        singular = abs(axes[4]) < SINGULAR_A5_DEG
+        if singular and self._status is not None and not last:
+            self._raise_singular(axes[4])
+        if self._status is None and not singular:
+            self._status = arm.status_turn(axes)[0]
+        self._check_speed(axes, time_s - self._time_s)
+        self._axes, self._time_s = axes, time_s
+        return axes
+
+    def _at_singular_end(self, flange: Pose, error: ArmError) -> Axes | None:
+        """Return the axes at a last point with A5 at zero, where the status is one or the other by rounding."""
+        if error.fault is ArmFault.AXIS_LIMIT:
+            return None
+        nearest = [a for a in self._arm.all_solutions(flange, near=self._axes) if abs(a[4]) < SINGULAR_A5_DEG]
+        return nearest[0] if nearest else None
+
+    def _refuse_singular(self, flange: Pose, error: ArmError) -> None:
+        """Raise the message for a singularity if the way on needs another status."""
+        others = self._arm.all_solutions(flange, near=self._axes)
+        if others and error.fault is ArmFault.UNREACHABLE:
+            self._raise_singular(others[0][4])
+
+    def _raise_singular(self, a5_deg: float) -> None:
+        text = f"Singularity: A5 at {a5_deg:.3f}° on the path, the wrist would have to turn over; use PTP here"
+        raise MotionError(MotionMessage.SINGULARITY, text)
+
+    def _check_speed(self, axes: Axes, step_s: float) -> None:
+        for i in range(6):
+            moved = abs(axes[i] - self._axes[i])
+            allowed = self._arm.axis_speed_deg_s[i]
+            if moved > allowed * step_s * AXIS_SPEED_TOLERANCE + 1e-6:
+                if abs(axes[4]) < 1.0 and i in (3, 5):
+                    self._raise_singular(axes[4])
+                text = (
+                    f"Command velocity exceeded A{i + 1}: {moved / step_s:.0f}°/s on the path, "
+                    f"{allowed:.0f}°/s allowed; reduce $VEL.CP or use PTP"
+                )
+                raise MotionError(MotionMessage.AXIS_SPEED, text)
+
+
+def _check_percent(name: str, percent: float) -> None:
+    if not 0.0 < percent <= 100.0:
+        raise MotionError(MotionMessage.VALUE, f"{name} of {percent:g} % is not in 0 to 100 %")
+
+
+def _as_motion_error(error: ArmError) -> MotionError:
+    if error.fault is ArmFault.AXIS_LIMIT and error.axis is not None and error.limit_deg is not None:
+        sign = "+" if error.limit_deg > 0 else "-"
+        return MotionError(MotionMessage.AXIS_LIMIT, f"Software limit switch {sign}A{error.axis}: {error}")
+    return MotionError(MotionMessage.UNREACHABLE, f"Work envelope exceeded: {error}")
