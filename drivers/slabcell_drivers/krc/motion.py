@@ -18,7 +18,17 @@ from slabcell_drivers.robot.arm import ArmError, ArmFault, ArmModel, Axes
 from slabcell_drivers.robot.arm_solve import Pose, pose_of_frame
 from slabcell_drivers.robot.frame import Frame
 
-__all__ = ["INTERPOLATION_TICK_S", "MotionError", "PathLimits", "Trajectory", "plan_circ", "plan_lin", "plan_ptp"]
+__all__ = [
+    "INTERPOLATION_TICK_S",
+    "MotionError",
+    "MotionKind",
+    "PathLimits",
+    "Trajectory",
+    "as_motion_error",
+    "plan_circ",
+    "plan_lin",
+    "plan_ptp",
+]
 
 INTERPOLATION_TICK_S = 0.012
 CHECK_EVERY_MM = 1.0
@@ -88,7 +98,7 @@ def plan_ptp(
     try:
         arm.check_limits(target)
     except ArmError as error:
-        raise _as_motion_error(error) from error
+        raise as_motion_error(error) from error
     # one profile over the fraction of the way keeps all axes in phase: the slowest axis sets speed and acceleration
     distance = tuple(target[i] - start[i] for i in range(6))
     moving = [i for i in range(6) if distance[i] != 0.0]
@@ -169,7 +179,7 @@ def _plan_path(
     try:
         arm.inverse(flange_at(1.0), near=start)
     except ArmError as error:
-        raise _as_motion_error(error) from error
+        raise as_motion_error(error) from error
     tracker = _Tracker(arm, start)
     samples: list[tuple[float, Axes]] = [(0.0, start)]
     ticks = profile.duration_s / INTERPOLATION_TICK_S
@@ -230,8 +240,8 @@ class _Tracker:
         except ArmError as error:
             axes = self._at_singular_end(flange, error) if last else None
             if axes is None:
-                self._refuse_singular(flange, error)
-                raise _as_motion_error(error) from error
+                self._refuse_singular(flange)
+                raise as_motion_error(error) from error
         singular = abs(axes[4]) < SINGULAR_A5_DEG
         if singular and self._status is not None and not last:
             self._raise_singular(axes[4])
@@ -248,10 +258,10 @@ class _Tracker:
         nearest = [a for a in self._arm.all_solutions(flange, near=self._axes) if abs(a[4]) < SINGULAR_A5_DEG]
         return nearest[0] if nearest else None
 
-    def _refuse_singular(self, flange: Pose, error: ArmError) -> None:
-        """Raise the message for a singularity if the way on needs another status."""
+    def _refuse_singular(self, flange: Pose) -> None:
+        """Raise the message for a singularity if A5 would have to change its sign to go on."""
         others = self._arm.all_solutions(flange, near=self._axes)
-        if others and error.fault is ArmFault.UNREACHABLE:
+        if others and (others[0][4] < 0.0) != (self._axes[4] < 0.0):
             self._raise_singular(others[0][4])
 
     def _raise_singular(self, a5_deg: float) -> None:
@@ -277,7 +287,8 @@ def _check_percent(name: str, percent: float) -> None:
         raise MotionError(MotionMessage.VALUE, f"{name} of {percent:g} % is not in 0 to 100 %")
 
 
-def _as_motion_error(error: ArmError) -> MotionError:
+def as_motion_error(error: ArmError) -> MotionError:
+    """Return the controller message for a pose that the arm cannot take."""
     if error.fault is ArmFault.AXIS_LIMIT and error.axis is not None and error.limit_deg is not None:
         sign = "+" if error.limit_deg > 0 else "-"
         return MotionError(MotionMessage.AXIS_LIMIT, f"Software limit switch {sign}A{error.axis}: {error}")
