@@ -1,0 +1,34 @@
+"""How do pixels become millimetres?  Images of boards and robot poses in, a `Calibration` out; pure, no devices."""
+
+from slabcell.calibration.boards import Board
+from slabcell.calibration.camera import CameraResult, LensModel, calibrate_camera
+from slabcell.calibration.detection import Detection, detect_board, detect_boards
+from slabcell.calibration.file import from_document as calibration_from_document
+from slabcell.calibration.file import load_calibration, save_calibration
+from slabcell.calibration.file import to_document as calibration_to_document
+from slabcell.calibration.model import Calibration, CameraIdentity, Lens, TablePlane
+from slabcell.calibration.plane import PlaneResult, calibrate_plane
+from slabcell.calibration.touch import Touch, TouchFit, load_touch
+
+__all__ = [
+    "Board",
+    "Calibration",
+    "CameraIdentity",
+    "CameraResult",
+    "Detection",
+    "Lens",
+    "LensModel",
+    "PlaneResult",
+    "TablePlane",
+    "Touch",
+    "TouchFit",
+    "calibrate_camera",
+    "calibrate_plane",
+    "calibration_from_document",
+    "calibration_to_document",
+    "detect_board",
+    "detect_boards",
+    "load_calibration",
+    "load_touch",
+    "save_calibration",
+]

@@ -46,10 +46,15 @@ class Lens:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TablePlane:
-    """The table in the camera's frame: X_camera = rotation·X_table + translation (mm)."""
+    """The table in the camera's frame: X_camera = rotation·X_plane + translation (mm).
+
+    ``adjustment`` (2, 3) takes x, y of that rigid plane to the table's x, y: table = adjustment·(x, y, 1).  It is the
+    identity unless touched points showed that the robot's millimetres are scaled or skewed.
+    """
 
     rotation: Matrix
     translation: npt.NDArray[np.float64]
+    adjustment: Matrix = field(default_factory=lambda: np.eye(2, 3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +99,8 @@ class Calibration:
         rays = np.column_stack([ideal.reshape(-1, 2), np.ones(len(points))]) @ plane.rotation
         origin = -plane.rotation.T @ plane.translation
         depth = (np.asarray(height_mm) - origin[2]) / rays[:, 2]
-        return (origin + rays * depth[:, None])[:, :2]
+        flat = (origin + rays * depth[:, None])[:, :2]
+        return flat @ plane.adjustment[:, :2].T + plane.adjustment[:, 2]
 
     def image_from_table(self, points: Points, height_mm: float | npt.NDArray[np.float64] = 0.0) -> Points:
         """Return the pixels, shape (n, 2), at which points (n, 2) of the plane z = ``height_mm`` are seen."""
@@ -102,6 +108,7 @@ class Calibration:
         flat = np.asarray(points, dtype=np.float64).reshape(-1, 2)
         if len(flat) == 0:
             return np.zeros((0, 2))
+        flat = np.linalg.solve(plane.adjustment[:, :2], (flat - plane.adjustment[:, 2]).T).T
         solid = np.column_stack([flat, np.broadcast_to(np.asarray(height_mm, float), len(flat))]).reshape(-1, 1, 3)
         turn, _ = cv2.Rodrigues(plane.rotation)
         if self.lens.model == "fisheye":

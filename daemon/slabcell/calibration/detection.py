@@ -1,0 +1,114 @@
+"""Where are the board's points in this picture?  Detection of any kind of board, on one picture or many.
+
+The points come back in the board's own numbering (see `boards`), so that two pictures of one board agree on its frame.
+"""
+
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from slabcell.calibration.boards import Board
+from slabcell.calibration.checkerboard import find_checkerboard
+from slabcell.errors import ImageError
+from slabcell.geometry import Points
+
+__all__ = ["Detection", "Picture", "detect_board", "detect_boards", "to_grey"]
+
+Picture = npt.NDArray[np.generic]
+"""A picture: shape (height, width) or (height, width, 3 or 4), 8 or 16 bit."""
+
+MAX_SIDE = 20_000
+MIN_SIDE = 32
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detection:
+    """The points of one board found in one picture.
+
+    ``points_mm`` (n, 3) in the board's frame and ``pixels`` (n, 2) belong together row by row; ``indices`` are the
+    points' numbers on the board.  ``window_px`` is the half side of the sub-pixel window, 0 where none was used.
+    """
+
+    name: str
+    width: int
+    height: int
+    indices: npt.NDArray[np.int64]
+    points_mm: Points
+    pixels: Points
+    window_px: int = 0
+    note: str = ""
+
+
+def to_grey(picture: Picture, name: str) -> npt.NDArray[np.uint8]:
+    """Return the picture as 8 bit grey; 16 bit pictures are stretched to their brightest pixel.  Raises ImageError."""
+    if picture.ndim not in (2, 3) or not all(MIN_SIDE <= side <= MAX_SIDE for side in picture.shape[:2]):
+        raise ImageError(
+            f"{name}: a picture of shape {picture.shape} holds no board; sides of {MIN_SIDE} to {MAX_SIDE} pixels can"
+        )
+    if picture.ndim == 3:
+        if picture.shape[2] not in (1, 3, 4):
+            raise ImageError(f"{name}: a picture of {picture.shape[2]} channels is neither grey nor colour")
+        picture = picture[:, :, 0] if picture.shape[2] == 1 else picture[:, :, :3].mean(axis=2).astype(picture.dtype)
+    if picture.dtype == np.uint8:
+        return np.ascontiguousarray(picture, dtype=np.uint8)
+    if picture.dtype != np.uint16:
+        raise ImageError(f"{name}: pixels of type {picture.dtype} are not understood; save it with 8 or 16 bit")
+    top = max(int(picture.max()), 1)
+    return np.ascontiguousarray((picture.astype(np.float32) * (255.0 / top)).round(), dtype=np.uint8)
+
+
+def detect_board(picture: Picture, board: Board, name: str) -> Detection:
+    """Return the board's points in one picture.  Raises ImageError if the board is not found in it."""
+    grey = to_grey(picture, name)
+    found = _finder(board)(grey, board)
+    if found is None:
+        hint = "the whole board must be visible and sharp, with a light margin of one square around it"
+        raise ImageError(f"{name}: no {board} found; {hint}, and COLUMNSxROWS must be the board's")
+    indices, pixels, window_px, note = found
+    return Detection(
+        name, grey.shape[1], grey.shape[0], indices, board.points[indices], pixels.astype(np.float64), window_px, note
+    )
+
+
+def detect_boards(
+    pictures: Iterable[tuple[str, Picture]],
+    board: Board,
+    *,
+    workers: int = 2,
+    done: Callable[[str], None] | None = None,
+) -> tuple[list[Detection], list[str]]:
+    """Return the detections in the order of the pictures, and one line for every picture that has none.
+
+    ``done`` is called with the name of each finished picture, in order.
+    """
+    detections: list[Detection] = []
+    failures: list[str] = []
+
+    def work(item: tuple[str, Picture]) -> tuple[str, Detection | str]:
+        name, picture = item
+        try:
+            return name, detect_board(picture, board, name)
+        except ImageError as error:
+            return name, str(error)
+
+    with ThreadPoolExecutor(workers) as pool:
+        for name, result in pool.map(work, pictures):
+            if isinstance(result, str):
+                failures.append(result)
+            else:
+                detections.append(result)
+            if done is not None:
+                done(name)
+    return detections, failures
+
+
+Found = tuple[npt.NDArray[np.int64], Points, int, str]
+
+
+def _finder(board: Board) -> Callable[[npt.NDArray[np.uint8], Board], Found | None]:
+    if board.kind == "checkerboard":
+        return find_checkerboard
+    raise ImageError(f"finding a {board.kind} board is not available yet")
