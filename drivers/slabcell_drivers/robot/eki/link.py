@@ -26,7 +26,7 @@ from slabcell_drivers.robot.protocol import Answer, Handler, LinkState, Request
 
 __all__ = ["HANDLER_FAILED_CODE", "Direction", "EkiServer", "EndReason", "TelegramHook"]
 
-HANDLER_FAILED_CODE = 1900
+HANDLER_FAILED_CODE = 1801
 """Entry of the error catalogue for "the cell itself failed while it answered"."""
 HANDLER_FAILED_TEXT = "slabcell: internal error, see the cell's log"
 
