@@ -20,6 +20,8 @@ REDUCED_SIDE = 960
 """Long side in pixels of the picture that is searched first."""
 MAX_SEARCH_SIDE = 2600
 """Long side in pixels above which a picture is never searched unreduced."""
+SECTOR_SEARCH_SIDE = 1300
+"""Long side in pixels of the picture that is searched last, with the slow method."""
 MAX_WINDOW = 15
 MIN_WINDOW = 2
 
@@ -47,7 +49,7 @@ def _search(grey: Grey, columns: int, rows: int) -> Points | None:
         if found:
             return _enlarged(np.asarray(corners, np.float64).reshape(-1, 2), scale)
     # The sector-based search copes with glare and strong distortion that the one above does not; it costs far more.
-    small, scale = _reduced(grey, MAX_SEARCH_SIDE)
+    small, scale = _reduced(grey, SECTOR_SEARCH_SIDE)
     found, corners = cv2.findChessboardCornersSB(small, (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
     return _enlarged(np.asarray(corners, np.float64).reshape(-1, 2), scale) if found else None
 

@@ -3,8 +3,9 @@
 The points come back in the board's own numbering (see `boards`), so that two pictures of one board agree on its frame.
 """
 
+from collections import deque
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,22 +87,24 @@ def detect_boards(
     """
     detections: list[Detection] = []
     failures: list[str] = []
+    running: deque[tuple[str, Future[Detection]]] = deque()
 
-    def work(item: tuple[str, Picture]) -> tuple[str, Detection | str]:
-        name, picture = item
+    def finish() -> None:
+        name, future = running.popleft()
         try:
-            return name, detect_board(picture, board, name)
+            detections.append(future.result())
         except ImageError as error:
-            return name, str(error)
+            failures.append(str(error))
+        if done is not None:
+            done(name)
 
     with ThreadPoolExecutor(workers) as pool:
-        for name, result in pool.map(work, pictures):
-            if isinstance(result, str):
-                failures.append(result)
-            else:
-                detections.append(result)
-            if done is not None:
-                done(name)
+        for name, picture in pictures:
+            running.append((name, pool.submit(detect_board, picture, board, name)))
+            if len(running) > 2 * workers:  # so that a long list of large pictures is never in memory at once
+                finish()
+        while running:
+            finish()
     return detections, failures
 
 

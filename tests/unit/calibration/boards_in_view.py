@@ -63,7 +63,7 @@ def looking_down(x_mm: float, y_mm: float, turn_deg: float = 0.0, tilt: tuple[fl
     y, _ = cv2.Rodrigues(np.array([0.0, b, 0.0]))
     x, _ = cv2.Rodrigues(np.array([c, 0.0, 0.0]))
     rotation = np.diag([1.0, -1.0, -1.0]) @ z @ y @ x
-    return View(rotation, np.array([x_mm, y_mm, height_mm]) - rotation @ (137.5, 100.0, 0.0))
+    return View(rotation, np.array([x_mm, y_mm, height_mm]) - rotation @ (88.0, 64.0, 0.0))
 
 
 def render_checkerboard(board: Board, view: View, *, noise: float = 1.5, seed: int = 0, blur_px: float = 0.7) -> npt.NDArray[np.uint8]:

@@ -1,0 +1,227 @@
+"""`slabcell calibrate`: pictures of a board in, a calibration file out, and what to think of it."""
+
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from slabcell.calibration import (
+    Board,
+    CameraResult,
+    Detection,
+    LensModel,
+    PlaneResult,
+    calibrate_camera,
+    calibrate_plane,
+    detect_boards,
+    load_calibration,
+    load_touch,
+    save_calibration,
+)
+from slabcell.calibration.detection import Picture
+from slabcell.errors import CalibrationError, ImageError
+from slabcell.images import read_image
+
+__all__ = ["calibrate_app"]
+
+calibrate_app = typer.Typer(help="Make a calibration from images of a board.", no_args_is_help=True)
+
+BoardText = Annotated[
+    str,
+    typer.Option(
+        "--board",
+        metavar="BOARD",
+        help="checkerboard:12x9:25 (inner corners in a row x in a column : square in mm), charuco:... or circles:...",
+    ),
+]
+Out = Annotated[Path, typer.Option("--out", metavar="FILE", help="Calibration file to write.")]
+Images = Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="PNG, JPEG or TIFF pictures of the board.")]
+CalibrationFile = Annotated[
+    Path, typer.Option("--calibration", metavar="FILE", help="What `slabcell calibrate camera` wrote.")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")]
+
+
+@calibrate_app.command("camera")
+def camera_command(
+    images: Images,
+    board: BoardText,
+    out: Out,
+    model: Annotated[
+        LensModel, typer.Option("--model", help="Lens: Brown's with 4, 5, 8 or 14 coefficients, or fisheye.")
+    ] = "brown5",
+    serial: Annotated[str, typer.Option("--serial", help="Serial number of the camera; the file is bound to it.")] = "",
+    *,
+    as_json: AsJson = False,
+) -> None:
+    """Find the lens of a camera from 10 to 20 pictures of a board in different places and tilts (Zhang's method)."""
+    shown = Board.parse(board)
+    detections, failures = _detect(images, shown, quiet=as_json)
+    result = calibrate_camera(detections, shown, model=model, serial=serial)
+    save_calibration(out, result.calibration)
+    if as_json:
+        typer.echo(json.dumps(_camera_document(result, out, failures)))
+    else:
+        _print_camera(result, out, failures)
+
+
+@calibrate_app.command("plane")
+def plane_command(
+    images: Images,
+    calibration: CalibrationFile,
+    board: BoardText,
+    out: Out,
+    board_thickness_mm: Annotated[
+        float, typer.Option("--board-thickness-mm", metavar="MM", help="Height of the printed face above the table.")
+    ] = 0.0,
+    touch: Annotated[
+        Path | None,
+        typer.Option(
+            "--touch", metavar="POINTS.csv", help="Points that the robot touched: image,column,row,x,y or u,v,x,y."
+        ),
+    ] = None,
+    *,
+    affine: Annotated[
+        bool | None,
+        typer.Option(
+            "--affine/--rigid", help="What touched points may do to the frame; decided by hold-out if not given."
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Find the table from pictures of the board lying on it; five places over the work area are good.
+
+    Without touched points the first picture's board is the table's frame: origin at its first inner corner (the one
+    beside the dark corner square), X along the rows, Z up.
+    """
+    before = load_calibration(calibration)
+    shown = Board.parse(board)
+    touched = load_touch(touch) if touch is not None else []
+    if affine is not None and touch is None:
+        raise typer.BadParameter(
+            "only touched points can be fitted so; give --touch POINTS.csv", param_hint="--affine/--rigid"
+        )
+    detections, failures = _detect(images, shown, quiet=as_json)
+    if detections and detections[0].name != str(images[0]) and touch is None:
+        raise ImageError(f"{failures[0]} (the first picture's board is the table's frame)")
+    result = calibrate_plane(
+        before, detections, shown, board_thickness_mm=board_thickness_mm, touch=touched, affine=affine
+    )
+    save_calibration(out, result.calibration)
+    if as_json:
+        typer.echo(json.dumps(_plane_document(result, out, failures)))
+    else:
+        _print_plane(result, out, failures)
+
+
+def _detect(paths: Sequence[Path], board: Board, *, quiet: bool) -> tuple[list[Detection], list[str]]:
+    """Return the detections and one line for each picture without a board.  Raises if no picture shows it."""
+    columns = (TextColumn("finding the board"), BarColumn(bar_width=24), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), disable=quiet, transient=True) as progress:
+        task = progress.add_task("", total=len(paths))
+        detections, failures = detect_boards(_read(paths), board, done=lambda _: progress.advance(task))
+    if not detections:
+        raise CalibrationError("no picture shows the board:\n  " + "\n  ".join(failures))
+    return detections, failures
+
+
+def _read(paths: Sequence[Path]) -> Iterator[tuple[str, Picture]]:
+    for path in paths:
+        yield str(path), read_image(path)
+
+
+def _camera_document(result: CameraResult, out: Path, failures: Sequence[str]) -> dict[str, object]:
+    lens = result.calibration.lens
+    return {
+        "schema": "slabcell.calibrate-camera/1",
+        "out": str(out),
+        "rms_px": result.rms_px,
+        "lens": {"model": lens.model, "matrix": lens.matrix.tolist(), "distortion": lens.distortion.tolist()},
+        "std": result.std,
+        "views": [
+            {"name": v.name, "points": v.points, "rms_px": v.rms_px, "used": v.used, "tilt_deg": v.tilt_deg}
+            for v in result.views
+        ],
+        "coverage": {
+            "hull_fraction": result.coverage.hull_fraction,
+            "reach_fraction": result.coverage.reach_fraction,
+        },
+        "not_found": list(failures),
+        "warnings": list(result.warnings),
+    }
+
+
+def _plane_document(result: PlaneResult, out: Path, failures: Sequence[str]) -> dict[str, object]:
+    plane = result.calibration.require_plane()
+    return {
+        "schema": "slabcell.calibrate-plane/1",
+        "out": str(out),
+        "rms_px": result.rms_px,
+        "plane": {
+            "rotation": plane.rotation.tolist(),
+            "translation_mm": plane.translation.tolist(),
+            "adjustment": plane.adjustment.tolist(),
+        },
+        "views": [
+            {"name": v.name, "rms_px": v.rms_px, "rms_mm": v.rms_mm, "lift_mm": v.lift_mm, "tilt_deg": v.tilt_deg}
+            for v in result.views
+        ],
+        "touch": result.touch.to_document() if result.touch else None,
+        "not_found": list(failures),
+        "warnings": list(result.warnings),
+    }
+
+
+def _print_camera(result: CameraResult, out: Path, failures: Sequence[str]) -> None:
+    console = Console()
+    table = Table("Picture", "Points", "RMS px", "Tilt °", "Distance mm", "")
+    for v in result.views:
+        state = "" if v.used else "left out"
+        table.add_row(
+            v.name, str(v.points), f"{v.rms_px:.3f}", f"{v.tilt_deg:.1f}", f"{v.distance_mm:.0f}", state,
+            style=None if v.used else "yellow",
+        )  # fmt: skip
+    console.print(table)
+    m = result.calibration.lens.matrix
+    std = result.std
+    console.print(
+        f"residual {result.rms_px:.3f} px; focal length {m[0, 0]:.2f} ± {std['fx']:.2f}, {m[1, 1]:.2f} ± "
+        f"{std['fy']:.2f} px;"
+        f" principal point {m[0, 2]:.2f} ± {std['cx']:.2f}, {m[1, 2]:.2f} ± {std['cy']:.2f} px;"
+        f" {result.coverage.hull_fraction:.0%} of the picture covered",
+        highlight=False,
+    )
+    _print_end(console, [*failures, *result.warnings], out)
+
+
+def _print_plane(result: PlaneResult, out: Path, failures: Sequence[str]) -> None:
+    console = Console()
+    table = Table("Picture", "Points", "RMS px", "RMS mm", "Stands off mm", "Tilt °")
+    for v in result.views:
+        table.add_row(
+            v.name, str(v.points), f"{v.rms_px:.3f}", f"{v.rms_mm:.4f}", f"{v.lift_mm:+.3f}", f"{v.tilt_deg:.3f}"
+        )
+    console.print(table)
+    if result.touch is not None:
+        fit = result.touch
+        points = Table("Touched", "Residual mm")
+        for name, residual in fit.residuals:
+            points.add_row(name, f"{residual:.3f}")
+        console.print(points)
+        console.print(
+            f"{fit.kind} frame from {len(fit.residuals)} touched points: residual {fit.residual_mm:.3f} mm, hold-out"
+            f" {fit.holdout_mm:.3f} mm, robot's scale {fit.scale_ppm:+.0f} ppm",
+            highlight=False,
+        )
+    _print_end(console, [*failures, *result.warnings], out)
+
+
+def _print_end(console: Console, warnings: Sequence[str], out: Path) -> None:
+    for line in warnings:
+        console.print(f"warning: {line}", style="yellow", highlight=False, markup=False)
+    console.print(str(out), highlight=False, markup=False)
