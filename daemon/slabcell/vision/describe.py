@@ -1,0 +1,103 @@
+"""What does an outline look like in numbers?  Features of blobs and of slots, in millimetres, made the same way.
+
+The outline is sampled at equal arc lengths; everything that matching compares comes from those samples.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from slabcell.geometry import Points, Polygon
+from slabcell.vision.blobs import RawBlob
+from slabcell.vision.outline import area_and_centroid, offset_outward, polar_inertia, resample
+from slabcell.vision.plane import PlaneView
+
+__all__ = ["SAMPLES", "Shapes", "describe_blobs", "describe_polygons"]
+
+SAMPLES = 128
+# Samples of an outline from which the visible walls are taken away; finer, because corners shall stay.
+WALL_SAMPLES = 512
+# Visible walls narrower than this change a contour less than its own noise.
+MIN_WALL_PX = 0.7
+
+
+@dataclass(frozen=True, eq=False)
+class Shapes:
+    """Several outlines in one frame.
+
+    ``samples`` (n, SAMPLES) complex, x + iy in mm, counter-clockwise, minus ``middle``; ``middle`` (n,) complex mean of
+    the samples; ``area_mm2``, ``inertia`` (n,): area, and polar second moment over area squared; ``centroid`` (n, 2).
+    """
+
+    samples: npt.NDArray[np.complex128]
+    middle: npt.NDArray[np.complex128]
+    area_mm2: npt.NDArray[np.float64]
+    inertia: npt.NDArray[np.float64]
+    centroid: Points
+
+    def __len__(self) -> int:
+        return len(self.middle)
+
+
+def describe_polygons(polygons: Sequence[Points]) -> Shapes:
+    """Return the features of polygons (n, 2) in mm, whichever way they turn."""
+    count = len(polygons)
+    samples = np.zeros((count, SAMPLES), np.complex128)
+    area, inertia = np.zeros(count), np.zeros(count)
+    centroid = np.zeros((count, 2))
+    for index, polygon in enumerate(polygons):
+        signed, centroid[index] = area_and_centroid(polygon)
+        points = resample(polygon if signed >= 0 else polygon[::-1], SAMPLES)
+        samples[index] = points[:, 0] + 1j * points[:, 1]
+        area[index] = abs(signed)
+        inertia[index] = polar_inertia(polygon)
+    middle = samples.mean(axis=1) if count else np.zeros(0, np.complex128)
+    return Shapes(samples - middle[:, None], middle, area, inertia, centroid)
+
+
+def describe_slots(slots: Sequence[Polygon]) -> Shapes:
+    """Return the features of a template's slots, in its own frame."""
+    return describe_polygons([slot.vertices for slot in slots])
+
+
+def describe_blobs(blobs: Sequence[RawBlob], plane: PlaneView, *, without_walls: bool) -> Shapes:
+    """Return the features of blobs on the plane of the slabs' upper faces.
+
+    ``without_walls``: take away from each outline the strip in which the wall of a slab of that height is seen.
+    """
+    polygons: list[Points] = []
+    for blob in blobs:
+        polygon = plane.from_pixels(blob.polygon)
+        signed, _ = area_and_centroid(polygon)
+        # Half a pixel: the outline runs through the centres of the blob's own pixels, its edge is outside of them.
+        outline = offset_outward(polygon if signed >= 0 else polygon[::-1], 0.5 * plane.mm_per_px)
+        polygons.append(_without_wall(outline, plane) if without_walls else outline)
+    return describe_polygons(polygons)
+
+
+def has_visible_walls(plane: PlaneView) -> bool:
+    """Return whether the walls of slabs can be seen anywhere in the picture, wide enough to matter."""
+    camera = plane.calibration.camera
+    corners = np.array([[0, 0], [camera.width, 0], [0, camera.height], [camera.width, camera.height]], float)
+    shift = plane.foot_shift(plane.from_pixels(corners))
+    return bool(np.max(np.hypot(shift[:, 0], shift[:, 1])) > MIN_WALL_PX * plane.mm_per_px)
+
+
+def _without_wall(outline: Points, plane: PlaneView) -> Points:
+    """Return the outline of the upper face alone.
+
+    The silhouette of a slab is its upper face swept along the shift of its foot: where the outline faces that way it
+    has moved by the shift, elsewhere it is the upper face's own.
+    """
+    _, centre = area_and_centroid(outline)
+    shift = plane.foot_shift(centre[None, :])[0]
+    size = float(np.hypot(*shift))
+    if size < MIN_WALL_PX * plane.mm_per_px:
+        return outline
+    points = resample(outline, WALL_SAMPLES)
+    tangent = np.roll(points, -2, axis=0) - np.roll(points, 2, axis=0)
+    length = np.maximum(np.hypot(tangent[:, 0], tangent[:, 1]), 1e-9)
+    facing = (tangent[:, 1] * shift[0] - tangent[:, 0] * shift[1]) / (length * size)
+    return points - np.clip(facing / 0.3, 0.0, 1.0)[:, None] * shift
