@@ -12,16 +12,22 @@ from slabcell_drivers.camera.protocol import (
     CameraTimeout,
     ImageFrame,
 )
+from slabcell_drivers.camera.replay import ReplayCamera, ReplayMode
+from slabcell_drivers.camera.simulated import CameraFault, SimulatedCamera
 
 __all__ = [
     "Camera",
     "CameraBusy",
     "CameraConfigError",
     "CameraError",
+    "CameraFault",
     "CameraIncomplete",
     "CameraInfo",
     "CameraLost",
     "CameraState",
     "CameraTimeout",
     "ImageFrame",
+    "ReplayCamera",
+    "ReplayMode",
+    "SimulatedCamera",
 ]

@@ -1,0 +1,167 @@
+"""How does a camera behave that looks at the simulated world?  Like a real one, faults included.
+
+It renders on a worker thread, and is *not* responsible for what a picture shows: that is the function it is given.
+Faults are switched on and off by a test or a person; each is what a real camera does when that happens to it.
+"""
+
+import asyncio
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from slabcell_drivers.camera.protocol import (
+    CameraConfigError,
+    CameraIncomplete,
+    CameraInfo,
+    CameraLost,
+    CameraState,
+    CameraTimeout,
+    ImageFrame,
+)
+
+__all__ = ["CameraFault", "Render", "SimulatedCamera"]
+
+Pixels = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
+Render = Callable[[int], Pixels]
+"""Returns what the camera sees now; it is given the number of the frame and runs on a worker thread."""
+
+
+class CameraFault(StrEnum):
+    """What can be wrong with a camera."""
+
+    OFF = "off"  # no power or no cable: nothing answers
+    DROP = "drop"  # triggered, but no frame comes
+    INCOMPLETE = "incomplete"  # packets of the frame are lost
+    DARK = "dark"  # the light is out
+    BLUR = "blur"  # out of focus
+    STUCK = "stuck"  # it answers, but every frame is the one from before
+    DELAYED = "delayed"  # frames come late
+
+
+@dataclass(slots=True)
+class _Fault:
+    left: int | None
+    delay_s: float
+
+
+class SimulatedCamera:
+    """A `Camera` whose pictures are rendered.  Device time counts from the camera's start, in ns."""
+
+    def __init__(self, info: CameraInfo, render: Render) -> None:
+        self.info = info
+        self._render = render
+        self._state = CameraState.CLOSED
+        self._frame_id = 0
+        self._faults: dict[CameraFault, _Fault] = {}
+        self._last: Pixels | None = None
+        self._started_ns = time.monotonic_ns()
+        self._busy = asyncio.Lock()
+
+    @property
+    def state(self) -> CameraState:
+        """Where the camera stands now."""
+        return self._state
+
+    def break_with(self, fault: CameraFault, *, frames: int | None = None, delay_s: float = 0.0) -> None:
+        """Switch a fault on, for so many frames or until `mend`; ``delay_s`` is what ``DELAYED`` adds to a frame."""
+        self._faults[fault] = _Fault(frames, delay_s)
+
+    def mend(self, fault: CameraFault | None = None) -> None:
+        """Switch a fault off, or all of them."""
+        if fault is None:
+            self._faults.clear()
+        else:
+            self._faults.pop(fault, None)
+
+    async def open(self, timeout_s: float) -> CameraInfo:
+        """Connect; the camera counts its frames from 1 again.  Raises `CameraLost` if it is off."""
+        if CameraFault.OFF in self._faults:
+            self._state = CameraState.LOST
+            await asyncio.sleep(0)
+            msg = f"{self._name}: does not answer within {timeout_s:g} s: check its power and its cable"
+            raise CameraLost(msg)
+        self._frame_id = 0
+        self._state = CameraState.READY
+        return self.info
+
+    async def snap(self, timeout_s: float) -> ImageFrame:
+        """Take a picture of the world as it is from now on.  Raises `CameraError`."""
+        deadline = time.monotonic() + timeout_s
+        try:
+            async with asyncio.timeout(timeout_s), self._busy:
+                return await self._snap(deadline)
+        except TimeoutError as error:
+            msg = f"{self._name}: no complete frame within {timeout_s:g} s of the trigger"
+            raise CameraTimeout(msg) from error
+
+    async def close(self) -> None:
+        """Give the camera back; may be called twice."""
+        self._state = CameraState.CLOSED
+
+    @property
+    def _name(self) -> str:
+        return f"camera {self.info.serial}"
+
+    def _is(self, fault: CameraFault) -> _Fault | None:
+        """Return the fault if it is on, and count it down."""
+        found = self._faults.get(fault)
+        if found is not None and found.left is not None:
+            found.left -= 1
+            if found.left <= 0:
+                del self._faults[fault]
+        return found
+
+    async def _snap(self, deadline: float) -> ImageFrame:
+        if self._state is CameraState.CLOSED:
+            msg = f"{self._name}: is not open: open it before a picture is taken"
+            raise CameraLost(msg)
+        if self._is(CameraFault.OFF) or self._state is CameraState.LOST:
+            self._state = CameraState.LOST
+            msg = f"{self._name}: no longer answers: check its power and its cable, then open it again"
+            raise CameraLost(msg)
+        triggered_s = time.monotonic()
+        self._frame_id += 1
+        frame_id = self._frame_id
+        if self._is(CameraFault.DROP):
+            await asyncio.sleep(max(0.0, deadline - time.monotonic()) + 60.0)
+        delayed = self._is(CameraFault.DELAYED)
+        if delayed is not None:
+            await asyncio.sleep(delayed.delay_s)
+        stuck = self._is(CameraFault.STUCK)
+        if stuck is not None and self._last is not None:
+            pixels = self._last.copy()
+        else:
+            pixels = await asyncio.to_thread(self._render, frame_id)
+        if self._is(CameraFault.INCOMPLETE):
+            msg = f"{self._name}: frame {frame_id} is incomplete: packets were lost; check network and packet size"
+            raise CameraIncomplete(msg)
+        if pixels.shape[:2] != (self.info.height, self.info.width):
+            msg = (
+                f"{self._name}: the picture has {pixels.shape[1]}x{pixels.shape[0]} pixels, "
+                f"the camera is set to {self.info.width}x{self.info.height}"
+            )
+            raise CameraConfigError(msg)
+        if self._is(CameraFault.DARK):
+            pixels = _alike(pixels // 24, pixels)
+        if self._is(CameraFault.BLUR):
+            pixels = _alike(cv2.GaussianBlur(pixels, (0, 0), 6.0), pixels)
+        self._last = pixels
+        received_s = time.monotonic()
+        return ImageFrame(
+            pixels.copy(),
+            self.info.pixel_format,
+            frame_id,
+            triggered_s,
+            received_s,
+            time.monotonic_ns() - self._started_ns,
+        )
+
+
+def _alike(values: npt.ArrayLike, pixels: Pixels) -> Pixels:
+    """Return values as pixels of the same depth."""
+    return np.asarray(values, np.uint16) if pixels.dtype == np.uint16 else np.asarray(values, np.uint8)
