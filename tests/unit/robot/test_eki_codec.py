@@ -1,0 +1,210 @@
+"""The EKI codec: telegrams read and write, and nothing else gets through."""
+
+import contextlib
+import dataclasses
+import math
+import random
+import re
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slabcell_drivers.robot.eki.codec import (
+    InvalidTelegramError,
+    MalformedTelegramError,
+    TelegramError,
+    decode_answer,
+    decode_request,
+    encode_answer,
+    encode_request,
+    printable,
+)
+from slabcell_drivers.robot.eki.schema import ROBOT, VIS, ElementType
+from slabcell_drivers.robot.frame import Frame
+from slabcell_drivers.robot.protocol import AckState, Answer, Offer, Request, RequestType, RobotStatus
+
+pytestmark = pytest.mark.unit
+
+ints = st.integers(-(2**31) + 1, 2**31 - 1)
+thousandths = st.integers(-9_999_999, 9_999_999).map(lambda number: number / 1000)
+frames = st.builds(Frame, *[thousandths] * 6)
+requests = st.builds(
+    Request,
+    type=st.sampled_from(RequestType),
+    session=ints,
+    sequence=ints,
+    job_id=ints,
+    model=ints,
+    tcp=frames,
+    axes_deg=st.tuples(*[thousandths] * 6),
+    ack_result_id=ints,
+    ack_state=st.sampled_from(AckState),
+    status=st.builds(RobotStatus, ints, ints, ints, st.booleans(), ints),
+)
+offers = st.builds(
+    Offer,
+    result_id=st.integers(1, 2**31 - 1),
+    index=ints,
+    slot=ints,
+    pick=frames,
+    place=frames,
+    score=thousandths,
+    grip=ints,
+)
+texts = st.text(st.characters(codec="ascii", categories=["L", "N", "P", "S"]), max_size=80).filter(lambda t: t != "-")
+answers = st.builds(
+    Answer,
+    session=ints,
+    sequence=ints,
+    acknowledges=ints,
+    code=ints,
+    left=ints,
+    trigger_sequence=ints,
+    offer=offers | st.none(),
+    message=texts,
+)
+REQUEST = Request(RequestType.HELLO, 1, 2)
+
+
+@settings(deadline=None)
+@given(requests)
+def test_a_request_reads_as_it_was_written(request_):
+    assert decode_request(encode_request(request_)) == request_
+
+
+@settings(deadline=None)
+@given(answers)
+def test_an_answer_reads_as_it_was_written(answer):
+    assert decode_answer(encode_answer(answer)) == answer
+
+
+def test_every_element_of_the_schema_is_in_every_telegram():
+    for telegram, raw in ((ROBOT, encode_request(REQUEST)), (VIS, encode_answer(Answer(1, 2, 3)))):
+        for element in telegram.elements:
+            pattern = (
+                rf"<{element.node}[ >]" if not element.attribute else rf"<{element.node}[^>]* {element.attribute}="
+            )
+            assert re.search(pattern.encode(), raw), element.path
+
+
+def test_a_telegram_is_plain_ascii_with_end_tags_three_decimals_and_no_declaration():
+    raw = encode_answer(
+        Answer(1, 2, 3, offer=Offer(1, 0, 0, Frame(1 / 3, -0.0, -1e-9), Frame(), 1.0), message="äöü\nend")
+    )
+    assert raw.startswith(b"<Vis><Head ")
+    assert raw.endswith(b"<Msg>??? end</Msg></Vis>")
+    assert b'X="0.333" Y="0.000" Z="0.000"' in raw
+    assert b"/>" not in raw
+
+
+def test_attributes_may_come_in_any_order_and_elements_in_any_form():
+    request = dataclasses.replace(REQUEST, tcp=Frame(1, 2, 3, 4, 5, 6), ack_result_id=9, ack_state=AckState.PLACED)
+    raw = encode_request(request).decode()
+    generator = random.Random(7)
+    for _ in range(20):
+        shuffled = re.sub(
+            r"<(\w+)((?: \w+=\"[^\"]*\")+)></\1>",
+            lambda m: f"<{m[1]}\n{' '.join(generator.sample(m[2].split(), len(m[2].split())))} />",
+            raw,
+        )
+        assert shuffled != raw
+        assert decode_request(shuffled.encode()) == request
+
+
+def test_elements_that_were_never_set_read_as_zero():
+    assert decode_request(b'<Robot><Head Ver="1" Seq="7" Type="5"></Head><Pose></Pose></Robot>') == Request(
+        RequestType.HEARTBEAT, 0, 7
+    )
+
+
+@pytest.mark.parametrize(
+    ("inner", "reason"),
+    [
+        ('<Head Ver="1" Ses="3" Seq="7" Type="9"/>', "9 is not a valid RequestType"),
+        ('<Head Ver="2" Ses="3" Seq="7" Type="1"/>', "speaks version 1"),
+        ('<Head Ses="3" Seq="7" Type="1"/>', "speaks version 1"),
+        ('<Head Ver="1" Ses="3" Seq="7"/>', "Head/@Type is missing"),
+        ('<Head Ver="1" Ses="3" Seq="7" Type="1"/><Pose X="NaN"/>', "Pose/@X"),
+        ('<Head Ver="1" Ses="3" Seq="7" Type="1"/><Pose X="inf"/>', "Pose/@X"),
+        ('<Head Ver="1" Ses="3" Seq="7" Type="1"/><Pose X="1e300"/>', "Pose/@X"),
+        ('<Head Ver="1" Ses="3" Seq="7" Type="1"/><Pose X="1_0"/>', "Pose/@X"),
+        ('<Head Ver="1" Ses="3" Seq="7" Type="1"/><Ack State="7"/>', "7 is not a valid AckState"),
+        ('<Head Ver="1" Ses="3" Seq="7" Type="1"/><Ack ResId="99999999999"/>', "Ack/@ResId"),
+        ('<Head Ver="1" Ses="3" Seq="7" Type="1"/><Ack ResId="1.5"/>', "Ack/@ResId"),
+        (f'<Head Ver="1" Ses="3" Seq="7" Type="1"/><Ack ResId="{"1" * 5000}"/>', "no number is that long"),
+    ],
+)
+def test_a_wrong_value_is_named_and_the_request_stays_answerable(inner, reason):
+    with pytest.raises(InvalidTelegramError, match=re.escape(reason)) as caught:
+        decode_request(f"<Robot>{inner}</Robot>".encode())
+    assert (caught.value.session, caught.value.sequence) == (3, 7)
+    assert len(str(caught.value)) < 200
+
+
+@pytest.mark.parametrize(
+    "raw",
+    [
+        b"",
+        b"<Robot>",
+        b"<Vis></Vis>",
+        b"<Robot></Robot><Robot></Robot>",
+        b'<!DOCTYPE a [<!ENTITY b "c">]><Robot>&b;</Robot>',
+        b"<Robot>&b;</Robot>",
+        b"<?php x?><Robot></Robot>",
+        b"<?xml version='1.0' encoding='utf-7'?><Robot>\xff</Robot>",
+        b"<Robot><Msg>\xc3\xa4</Msg></Robot>",
+        b"<Robot>" + b"<a>" * 9 + b"</a>" * 9 + b"</Robot>",
+        b"<Robot><Head Ver='1'/><Head Ver='1'/></Robot>",
+        b"<Robot>" + b" " * 70_000 + b"</Robot>",
+    ],
+)
+def test_what_is_not_a_telegram_is_refused(raw):
+    with pytest.raises(MalformedTelegramError):
+        decode_request(raw)
+
+
+@settings(deadline=None)
+@given(st.binary(max_size=200) | st.binary(max_size=80).map(lambda noise: b"<Robot>" + noise + b"</Robot>"))
+def test_any_bytes_give_a_request_or_a_telegram_error(raw):
+    with contextlib.suppress(TelegramError):
+        assert isinstance(decode_request(raw), Request)
+
+
+@settings(deadline=None)
+@given(requests, st.data())
+def test_a_telegram_with_a_flipped_bit_gives_a_request_or_a_telegram_error(request_, data):
+    raw = bytearray(encode_request(request_))
+    raw[data.draw(st.integers(0, len(raw) - 1))] ^= 1 << data.draw(st.integers(0, 7))
+    with contextlib.suppress(TelegramError):
+        assert isinstance(decode_request(bytes(raw)), Request)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e10])
+def test_a_number_that_no_robot_can_use_is_not_sent(value):
+    with pytest.raises(InvalidTelegramError, match="Pick/@X"):
+        encode_answer(Answer(1, 2, 3, offer=Offer(1, 0, 0, Frame(value), Frame(), 1.0)))
+
+
+def test_a_whole_number_beyond_krl_is_not_sent():
+    with pytest.raises(InvalidTelegramError, match="Head/@Ses = 2147483648"):
+        encode_answer(Answer(2**31, 2, 3))
+
+
+@settings(deadline=None)
+@given(st.text(max_size=300))
+def test_a_message_fits_the_smartpad(text):
+    shown = printable(text)
+    assert len(shown) <= 80
+    assert shown.isascii()
+    assert "\n" not in shown
+    read = decode_answer(encode_answer(Answer(1, 2, 3, message=text))).message
+    assert read == ("" if shown == "-" else shown)
+
+
+def test_element_names_are_short_enough_for_any_controller():
+    for telegram in (ROBOT, VIS):
+        for element in telegram.elements:
+            assert len(telegram.path(element)) <= 60
+            assert len(element.node) <= 20
+        assert sum(element.type is ElementType.STRING for element in telegram.elements) <= 1
