@@ -35,6 +35,9 @@ MIN_VIEWS = 4
 MIN_POINTS = 8
 OUTLIER_FACTOR = 2.5
 OUTLIER_FLOOR_PX = 0.1
+NOISE_FLOOR_PX = 0.02
+MAX_FOCAL_UNCERTAINTY = 0.1
+"""Standard deviation of the focal length, relative to it, above which there is no calibration."""
 
 # OpenCV's flags, and how many coefficients the model has.
 _MODELS: dict[str, tuple[int, int]] = {
@@ -104,9 +107,15 @@ def calibrate_camera(
         used = [i for n, i in enumerate(used) if n not in bad]
         solution = _solve([views[i] for i in used], model, (width, height))
     information, noise_px = _information([views[i] for i in used], solution)
-    covariance = np.linalg.pinv(information, hermitian=True) * noise_px**2
+    covariance = _inverse(information) * noise_px**2
     names = parameter_names(solution.lens)
-    std = {name: float(np.sqrt(max(value, 0.0))) for name, value in zip(names, np.diag(covariance), strict=True)}
+    std = dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
+    focal = float(solution.lens.matrix[0, 0])
+    if std["fx"] * max(1.0, NOISE_FLOOR_PX / noise_px) > MAX_FOCAL_UNCERTAINTY * focal:
+        raise CalibrationError(
+            f"the views leave the focal length open ({focal:.0f} ± {std['fx']:.0f} px): add views that are tilted by 20"
+            " to 45 degrees in different directions"
+        )
     reports = _reports(views, used, solution)
     coverage = measure_coverage([views[i] for i in used])
     warnings = _warnings(views, used, reports, solution, coverage, std, board)
@@ -199,6 +208,13 @@ def _information(views: Sequence[Detection], solution: _Solution) -> tuple[Point
     freedom = max(numbers - size - 6 * len(views), 1)
     noise_px = float(np.sqrt(sum(float(np.sum(np.square(r))) for r in solution.residuals) / freedom))
     return information, max(noise_px, 1e-6)
+
+
+def _inverse(information: Points) -> Points:
+    """Return the covariance; what the views do not tell gets a variance that is enormous, not zero."""
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-30))
+    values, axes = np.linalg.eigh(information / np.outer(scale, scale))
+    return (axes / np.maximum(values, 1e-14)) @ axes.T / np.outer(scale, scale)
 
 
 def _reports(views: Sequence[Detection], used: Sequence[int], solution: _Solution) -> tuple[ViewReport, ...]:

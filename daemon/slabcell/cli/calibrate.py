@@ -122,7 +122,8 @@ def plane_command(
 def _detect(paths: Sequence[Path], board: Board, *, quiet: bool) -> tuple[list[Detection], list[str]]:
     """Return the detections and one line for each picture without a board.  Raises if no picture shows it."""
     columns = (TextColumn("finding the board"), BarColumn(bar_width=24), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), disable=quiet, transient=True) as progress:
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, disable=quiet or not console.is_terminal, transient=True) as progress:
         task = progress.add_task("", total=len(paths))
         detections, failures = detect_boards(_read(paths), board, done=lambda _: progress.advance(task))
     if not detections:
@@ -183,7 +184,7 @@ def _print_camera(result: CameraResult, out: Path, failures: Sequence[str]) -> N
     for v in result.views:
         state = "" if v.used else "left out"
         table.add_row(
-            v.name, str(v.points), f"{v.rms_px:.3f}", f"{v.tilt_deg:.1f}", f"{v.distance_mm:.0f}", state,
+            Path(v.name).name, str(v.points), f"{v.rms_px:.3f}", f"{v.tilt_deg:.1f}", f"{v.distance_mm:.0f}", state,
             style=None if v.used else "yellow",
         )  # fmt: skip
     console.print(table)
@@ -204,7 +205,12 @@ def _print_plane(result: PlaneResult, out: Path, failures: Sequence[str]) -> Non
     table = Table("Picture", "Points", "RMS px", "RMS mm", "Stands off mm", "Tilt °")
     for v in result.views:
         table.add_row(
-            v.name, str(v.points), f"{v.rms_px:.3f}", f"{v.rms_mm:.4f}", f"{v.lift_mm:+.3f}", f"{v.tilt_deg:.3f}"
+            Path(v.name).name,
+            str(v.points),
+            f"{v.rms_px:.3f}",
+            f"{v.rms_mm:.4f}",
+            f"{v.lift_mm:+.3f}",
+            f"{v.tilt_deg:.3f}",
         )
     console.print(table)
     if result.touch is not None:

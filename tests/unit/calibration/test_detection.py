@@ -1,0 +1,75 @@
+"""The points of a board are found to a few hundredths of a pixel, in the board's own numbering."""
+
+import numpy as np
+import pytest
+
+from slabcell.calibration import Board, detect_board, detect_boards
+from slabcell.calibration.checkerboard import refine_corners
+from slabcell.errors import ImageError
+
+pytestmark = pytest.mark.unit
+
+
+def errors(detection, view):
+    return np.linalg.norm(detection.pixels - view.project(detection.points_mm), axis=1)
+
+
+@pytest.mark.parametrize("turn_deg", [-170.0, -80.0, 10.0, 95.0])
+def test_corners_are_found_and_numbered_from_the_dark_corner_however_the_board_is_turned(lab, turn_deg):
+    view = lab.looking_down(5.0, -10.0, turn_deg, (18.0, -12.0), 800.0)
+    detection = detect_board(lab.render_checkerboard(lab.BOARD, view), lab.BOARD, "view")
+    off = errors(detection, view)
+    assert np.sqrt(np.mean(off**2)) < 0.06
+    assert off.max() < 0.2
+
+
+def test_a_board_that_looks_the_same_after_half_a_turn_starts_at_the_left(lab):
+    board = Board.parse("checkerboard:11x9:16")
+    picture = lab.render_checkerboard(board, lab.looking_down(5.0, -10.0, 150.0, height_mm=800.0))
+    pixels = detect_board(picture, board, "view").pixels
+    assert pixels[0, 0] < pixels[-1, 0]
+    row, column = pixels[10] - pixels[0], pixels[-11] - pixels[0]
+    assert row[0] * column[1] - row[1] * column[0] < 0.0
+
+
+def test_the_window_of_the_refinement_follows_the_squares(lab):
+    grid = np.stack(np.meshgrid(np.arange(5.0), np.arange(4.0)), axis=-1)
+    grey = np.zeros((200, 200), np.uint8)
+    windows = [refine_corners(grey, 20 + grid * step)[1] for step in (6.0, 12.0, 24.0, 36.0)]
+    assert windows == [2, 5, 10, 15]
+
+
+def test_sixteen_bit_and_colour_pictures_are_read_as_well(lab):
+    view = lab.looking_down(0.0, 0.0, 3.0, height_mm=800.0)
+    picture = lab.render_checkerboard(lab.BOARD, view)
+    deep = picture.astype(np.uint16) * 16
+    colour = np.repeat(picture[:, :, None], 3, axis=2)
+    for shown in (deep, colour):
+        assert errors(detect_board(shown, lab.BOARD, "view"), view).max() < 0.2
+
+
+@pytest.mark.parametrize(
+    ("picture", "about"),
+    [
+        (np.zeros((400, 500), np.uint8), "no checkerboard:12x9:16 found"),
+        (np.full((400, 500), 255, np.uint8), "no checkerboard:12x9:16 found"),
+        (np.zeros((1, 1), np.uint8), "holds no board"),
+        (np.zeros((400, 500, 2), np.uint8), "neither grey nor colour"),
+        (np.zeros((400, 500), np.float64), "type float64"),
+        (np.zeros((400,), np.uint8), "holds no board"),
+    ],
+)
+def test_a_picture_without_a_board_is_refused_by_name(lab, picture, about):
+    with pytest.raises(ImageError, match=about) as caught:
+        detect_board(picture, lab.BOARD, "shot-7.png")
+    assert "shot-7.png" in str(caught.value)
+
+
+def test_many_pictures_keep_their_order_and_the_ones_without_a_board_are_named(lab):
+    good = lab.render_checkerboard(lab.BOARD, lab.looking_down(0.0, 0.0, 3.0, height_mm=800.0))
+    pictures = [(f"{n}.png", good if n % 2 else np.zeros((64, 64), np.uint8)) for n in range(6)]
+    finished: list[str] = []
+    detections, failures = detect_boards(iter(pictures), lab.BOARD, done=finished.append)
+    assert [d.name for d in detections] == ["1.png", "3.png", "5.png"]
+    assert [line.split(":")[0] for line in failures] == ["0.png", "2.png", "4.png"]
+    assert finished == [name for name, _ in pictures]
