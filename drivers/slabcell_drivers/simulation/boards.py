@@ -5,11 +5,11 @@ import numpy as np
 import numpy.typing as npt
 
 from slabcell_drivers.robot.frame import Frame
-from slabcell_drivers.simulation.coverage import Window, cover
+from slabcell_drivers.simulation.exposure import FINE, add_blurred, cover_fine, fine_window
 from slabcell_drivers.simulation.projection import Projector
-from slabcell_drivers.simulation.rendering import FINE, expose
+from slabcell_drivers.simulation.rendering import bare_table, digitise
 from slabcell_drivers.simulation.scene import BoardSpec, CameraSpec, Optics, Scene
-from slabcell_drivers.simulation.surfaces import smooth_noise
+from slabcell_drivers.simulation.surfaces import light_field
 
 __all__ = ["board_corners", "camera_views", "plane_views", "render_board"]
 
@@ -22,19 +22,18 @@ def render_board(
 ) -> Image:
     """Return the picture of a board whose frame (see `BoardSpec`) is at ``pose`` in the root, (height, width) uint8."""
     projector = Projector(camera, FINE)
-    table = optics.table_dn * (1.0 + optics.table_texture * smooth_noise(camera.width, camera.height, seed))
-    canvas = np.asarray(
-        cv2.resize(table, (camera.width * FINE, camera.height * FINE), interpolation=cv2.INTER_LINEAR), np.float32
-    )
+    image = bare_table(camera, optics, (), seed)
     plane = pose.matrix
     white = [projector.contour(_rectangle(*_rim(board)), plane)]
     black = [projector.contour(square, plane) for square in _squares(board)]
-    window = Window.around(white, canvas.shape[1], canvas.shape[0])
+    window = fine_window(white, camera.width, camera.height, optics.blur_sigma_px)
     if window is not None:
-        sheet, print_ = cover(white, window), cover(black, window)
-        part = canvas[window.slices]
-        part += sheet * (board.white_dn - part) + print_ * (board.black_dn - board.white_dn)
-    return expose(canvas, camera, optics, seed=seed, frame_number=frame_number)
+        fine = cover_fine(white, window)
+        fine *= np.float32(board.white_dn - optics.table_dn)
+        fine += cover_fine(black, window) * np.float32(board.black_dn - board.white_dn)
+        add_blurred(image, window, fine, optics.blur_sigma_px)
+    image *= light_field(camera.width, camera.height, optics.unevenness, seed)
+    return digitise(image, optics, (seed, frame_number))
 
 
 def board_corners(camera: CameraSpec, board: BoardSpec, pose: Frame) -> Points:

@@ -1,9 +1,4 @@
-"""What does the camera see?  Pictures of slabs on a table, with edges placed exactly, light, shadows, blur and noise.
-
-The picture is composed on a grid twice as fine as the sensor's: coverage of disjoint faces by exact area, brightness of
-faces and table, then the lens's Gaussian blur, then the mean over each pixel.  On that grid the blur is band-limiting,
-so that edges lie where geometry puts them to within some 1e-3 px.
-"""
+"""What does the camera see?  Pictures of slabs on a table: edges placed exactly, light, shadows, blur and noise."""
 
 from collections.abc import Sequence
 
@@ -13,6 +8,7 @@ import numpy.typing as npt
 
 from slabcell_drivers.simulation.areas import Area
 from slabcell_drivers.simulation.coverage import Window, cover
+from slabcell_drivers.simulation.exposure import FINE, add_blurred, cover_fine, fine_window
 from slabcell_drivers.simulation.projection import Projector, rings
 from slabcell_drivers.simulation.scene import CameraSpec, Optics
 from slabcell_drivers.simulation.slab import Slab
@@ -20,9 +16,8 @@ from slabcell_drivers.simulation.surfaces import grain_tile, light_field, sensor
 from slabcell_drivers.simulation.visibility import Face, cast_shadows, footprints, seams, visible_faces
 from slabcell_drivers.simulation.world import World
 
-__all__ = ["FINE", "expose", "render_slabs", "render_world"]
+__all__ = ["bare_table", "digitise", "irradiance", "render_slabs", "render_world"]
 
-FINE = 2  # sub-pixels per pixel and axis
 GROUND = np.eye(4)
 GRAIN_MM = 0.5  # size of a texture cell on the slab
 SEAM_MM = 0.25  # width of the dark joint between slabs that touch
@@ -38,14 +33,7 @@ def render_slabs(
 
     ``seed`` chooses light and grain, ``frame_number`` the noise.  Raises ValueError if a slab is above the camera.
     """
-    projector = Projector(camera, FINE)
-    table = _table(camera, optics, slabs, seed)
-    canvas = table.copy()
-    for face in visible_faces(slabs, projector.centre):
-        _paint(canvas, table, face, projector, optics)
-    if optics.seam_shadow > 0:
-        _darken_seams(canvas, slabs, projector, optics)
-    return expose(canvas, camera, optics, seed=seed, frame_number=frame_number)
+    return digitise(irradiance(camera, optics, slabs, seed=seed), optics, (seed, frame_number))
 
 
 def render_world(world: World, frame_number: int = 0) -> Image:
@@ -54,65 +42,108 @@ def render_world(world: World, frame_number: int = 0) -> Image:
     return render_slabs(scene.camera, scene.optics, world.slabs, seed=world.seed, frame_number=frame_number)
 
 
-def expose(canvas: Field, camera: CameraSpec, optics: Optics, *, seed: int, frame_number: int) -> Image:
-    """Return what the sensor makes of a brightness on the fine grid: uneven light, blur, pixels, noise, 8 bits."""
+def irradiance(camera: CameraSpec, optics: Optics, slabs: Sequence[Slab], *, seed: int = 0) -> Field:
+    """Return what falls on the pixels before the sensor adds noise, shape (height, width), in grey levels."""
+    projector = Projector(camera, FINE)
+    table = bare_table(camera, optics, slabs, seed)
+    image = table.copy()
     if optics.blur_sigma_px > 0:
-        cv2.GaussianBlur(canvas, (0, 0), optics.blur_sigma_px * FINE, dst=canvas, borderType=cv2.BORDER_REPLICATE)
-    image = cv2.resize(canvas, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+        cv2.GaussianBlur(image, (0, 0), max(optics.blur_sigma_px, 0.3), dst=image)
+    for slab, faces in _by_slab(visible_faces(slabs, projector.centre)):
+        _add_slab(image, table, slab, faces, projector, optics)
+    if optics.seam_shadow > 0:
+        _darken_seams(image, slabs, projector, optics)
     image *= light_field(camera.width, camera.height, optics.unevenness, seed)
-    image = sensor_noise(np.asarray(image, np.float32), optics.noise_dn, optics.shot_dn, (seed, frame_number))
-    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+    return image
 
 
-def _table(camera: CameraSpec, optics: Optics, slabs: Sequence[Slab], seed: int) -> Field:
-    """Return the bare table's brightness on the fine grid, in the shadows of the slabs."""
-    half = Projector(camera)
+def digitise(image: Field, optics: Optics, seed: tuple[int, ...]) -> Image:
+    """Return what the sensor makes of it: shot and read noise, 8 bits."""
+    noisy = sensor_noise(image, optics.noise_dn, optics.shot_dn, seed)
+    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+
+def bare_table(camera: CameraSpec, optics: Optics, slabs: Sequence[Slab], seed: int) -> Field:
+    """Return the table's brightness in the shadows of slabs but without the slabs, shape (height, width)."""
+    projector = Projector(camera)
     width, height = camera.width, camera.height
     level = np.full((height, width), optics.table_dn, np.float32)
     if optics.table_texture > 0:
         level *= 1.0 + optics.table_texture * smooth_noise(width, height, seed)
-    pixel_mm = half.centre[2] / camera.fx_px
+    pixel_mm = projector.centre[2] / camera.fx_px
     if optics.cast_shadow > 0 and slabs:
         tilt, origin = np.tan(np.deg2rad(optics.light_tilt_deg)), np.deg2rad(optics.light_from_deg)
         away = (float(-tilt * np.cos(origin)), float(-tilt * np.sin(origin)))
-        level *= 1.0 - optics.cast_shadow * _soft(cast_shadows(slabs, away), half, 1.0 / pixel_mm)
+        level *= 1.0 - optics.cast_shadow * _soft(cast_shadows(slabs, away), projector, 1.0 / pixel_mm)
     if optics.contact_shadow > 0 and slabs:
-        near = _soft(footprints(slabs), half, optics.contact_reach_mm / pixel_mm)
+        near = _soft(footprints(slabs), projector, optics.contact_reach_mm / pixel_mm)
         level *= 1.0 - optics.contact_shadow * np.minimum(2.0 * near, 1.0)
-    return np.asarray(cv2.resize(level, (width * FINE, height * FINE), interpolation=cv2.INTER_LINEAR), np.float32)
+    return level
 
 
 def _soft(area: Area, projector: Projector, sigma_px: float) -> Field:
     """Return the blurred coverage of an area of the table, shape (height, width)."""
     camera = projector.camera
     contours = [projector.contour(ring, GROUND, 16.0) for ring in rings(area)]
-    share = cover(contours, Window(0, 0, camera.width, camera.height))
-    return np.asarray(cv2.GaussianBlur(share, (0, 0), max(sigma_px, 0.3)), np.float32)
+    share = np.zeros((camera.height, camera.width), np.float32)
+    window = Window.around(contours, camera.width, camera.height, round(4.0 * sigma_px) + 2)
+    if window is not None:
+        share[window.slices] = cv2.GaussianBlur(cover(contours, window), (0, 0), max(sigma_px, 0.3))
+    return share
 
 
-def _paint(canvas: Field, table: Field, face: Face, projector: Projector, optics: Optics) -> None:
-    """Let the face take the table's place on the canvas, as far as the face covers each sub-pixel."""
-    contours = [projector.contour(ring, GROUND) for ring in rings(face.area)]
-    window = Window.around(contours, canvas.shape[1], canvas.shape[0])
+def _by_slab(faces: Sequence[Face]) -> list[tuple[Slab, list[Face]]]:
+    grouped: dict[int, tuple[Slab, list[Face]]] = {}
+    for face in faces:
+        grouped.setdefault(id(face.slab), (face.slab, []))[1].append(face)
+    return list(grouped.values())
+
+
+def _add_slab(
+    image: Field, table: Field, slab: Slab, faces: Sequence[Face], projector: Projector, optics: Optics
+) -> None:
+    """Let the visible faces of one slab take the table's place in the picture."""
+    camera = projector.camera
+    outlines = [[projector.contour(ring, GROUND) for ring in rings(face.area)] for face in faces]
+    window = fine_window(
+        (contour for contours in outlines for contour in contours), camera.width, camera.height, optics.blur_sigma_px
+    )
     if window is None:
         return
-    share = cover(contours, window)
-    share *= _brightness(face, window, projector, optics) - table[window.slices]
-    canvas[window.slices] += share
+    under = _magnified(table, window)
+    fine = np.zeros_like(under)
+    for face, contours in zip(faces, outlines, strict=True):
+        share = cover_fine(contours, window)
+        if face.facing is None:
+            share *= _upper_face(slab, window, projector, optics) - under
+        else:
+            share *= _wall_level(face.facing, slab, optics) - under
+        fine += share
+    add_blurred(image, window, fine, optics.blur_sigma_px)
 
 
-def _brightness(face: Face, window: Window, projector: Projector, optics: Optics) -> Field | float:
-    if face.facing is not None:
-        origin = np.deg2rad(optics.light_from_deg)
-        lit = face.facing[0] * np.cos(origin) + face.facing[1] * np.sin(origin)
-        return float(optics.wall_dn * face.slab.tone * (1.0 + 0.35 * lit))
-    level = optics.slab_dn * face.slab.tone
+def _magnified(table: Field, window: Window) -> Field:
+    """Return a window of the table on the fine grid; beyond the picture it goes on as at its rim."""
+    rows = np.clip(np.arange(window.top, window.top + window.height), 0, table.shape[0] - 1)
+    columns = np.clip(np.arange(window.left, window.left + window.width), 0, table.shape[1] - 1)
+    size = (window.width * FINE, window.height * FINE)
+    return np.asarray(cv2.resize(table[np.ix_(rows, columns)], size, interpolation=cv2.INTER_LINEAR), np.float32)
+
+
+def _wall_level(facing: tuple[float, float], slab: Slab, optics: Optics) -> float:
+    origin = np.deg2rad(optics.light_from_deg)
+    lit = facing[0] * np.cos(origin) + facing[1] * np.sin(origin)
+    return float(optics.wall_dn * slab.tone * (1.0 + 0.35 * lit))
+
+
+def _upper_face(slab: Slab, window: Window, projector: Projector, optics: Optics) -> Field | float:
+    level = optics.slab_dn * slab.tone
     if optics.slab_texture <= 0:
         return level
     grain = cv2.warpAffine(
-        grain_tile(face.slab.grain),
-        _tile_from_window(face.slab, window, projector),
-        (window.width, window.height),
+        grain_tile(slab.grain),
+        _tile_from_window(slab, window, projector),
+        (window.width * FINE, window.height * FINE),
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_WRAP,
     )
@@ -120,7 +151,7 @@ def _brightness(face: Face, window: Window, projector: Projector, optics: Optics
 
 
 def _tile_from_window(slab: Slab, window: Window, projector: Projector) -> npt.NDArray[np.float64]:
-    """Return the affine map (2, 3) from pixels of a window to the slab's texture, which is fixed to its body."""
+    """Return the affine map (2, 3) from sub-pixels of a window to the slab's texture, which is fixed to its body."""
     reach = 20.0
     body = np.array([[0.0, 0.0, 0.0], [reach, 0.0, 0.0], [0.0, reach, 0.0]])
     tilt = np.deg2rad(slab.frame.a_deg)
@@ -128,16 +159,18 @@ def _tile_from_window(slab: Slab, window: Window, projector: Projector) -> npt.N
     seen = projector.pixels(body @ turn.T + (slab.frame.x_mm, slab.frame.y_mm, slab.top_mm))
     tile = body[:, :2] / GRAIN_MM + 256.0
     to_tile = np.asarray(cv2.getAffineTransform(seen.astype(np.float32), tile.astype(np.float32)), np.float64)
-    to_tile[:, 2] += to_tile[:, :2] @ (window.left, window.top)
+    to_tile[:, 2] += to_tile[:, :2] @ (window.left * FINE, window.top * FINE)
     return to_tile
 
 
-def _darken_seams(canvas: Field, slabs: Sequence[Slab], projector: Projector, optics: Optics) -> None:
+def _darken_seams(image: Field, slabs: Sequence[Slab], projector: Projector, optics: Optics) -> None:
     """Draw the dark joint between slabs that lie against each other."""
+    camera = projector.camera
     for area, height in seams(slabs, SEAM_MM):
         plane = np.eye(4)
         plane[2, 3] = height
         contours = [projector.contour(ring, plane) for ring in rings(area)]
-        window = Window.around(contours, canvas.shape[1], canvas.shape[0])
+        window = fine_window(contours, camera.width, camera.height, optics.blur_sigma_px)
         if window is not None:
-            canvas[window.slices] *= 1.0 - optics.seam_shadow * cover(contours, window)
+            dark = cover_fine(contours, window) * np.float32(-optics.seam_shadow * optics.slab_dn)
+            add_blurred(image, window, dark, optics.blur_sigma_px)
