@@ -14,7 +14,7 @@ ARMS = pytest.mark.parametrize("arm", [KR3_R540, KR6_R900], ids=lambda arm: arm.
 
 
 def seeded(seed: int) -> random.Random:
-    return random.Random(seed)  # noqa: S311  not for secrets
+    return random.Random(seed)
 
 
 def random_axes(arm: ArmModel, rng: random.Random) -> Axes:
@@ -47,7 +47,7 @@ def test_the_published_check_poses_of_the_kr3_come_out() -> None:
 @pytest.mark.parametrize("count", [400, pytest.param(10_000, marks=pytest.mark.slow)])
 def test_random_poses_with_status_and_turn_come_back_to_their_axes(arm: ArmModel, count: int) -> None:
     seed = random.SystemRandom().randrange(2**32)
-    print(f"seed {seed}")  # noqa: T201  shown when the test fails
+    print(f"seed {seed}")
     worst_mm, worst_deg, differed = round_trip_errors(arm, seeded(seed), count)
     assert worst_mm <= 1e-6
     assert worst_deg <= 1e-4  # near the wrist singularity single axes are ill-conditioned, the pose is not
