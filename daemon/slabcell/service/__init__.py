@@ -1,0 +1,1 @@
+"""The daemon's workshop: builds real things from the configuration and runs them as one cell."""
