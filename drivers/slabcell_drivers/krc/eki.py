@@ -25,7 +25,7 @@ from slabcell_drivers.krc.eki_config import (
 )
 from slabcell_drivers.krc.eki_memory import Entry, Value
 from slabcell_drivers.krc.eki_server import ServerSide
-from slabcell_drivers.krc.eki_transport import Transport, connect, listen
+from slabcell_drivers.krc.eki_transport import Link, PlainLink, Transport, connect, listen
 from slabcell_drivers.krc.eki_wire import send_paths, write_branch
 from slabcell_drivers.krc.unconfirmed import EKI_MESSAGE_TEXTS, EkiMessage
 from slabcell_drivers.robot.frame import Frame
@@ -64,15 +64,11 @@ def _no_notice(_channel: str, _text: str) -> None:
     """Nobody reads the notices."""
 
 
-def _no_wrap(transport: Transport) -> Transport:
-    return transport
-
-
 class EthernetKrl:
     """All channels of one controller.  Channel names are files, so their letter case does not matter.
 
     ``configs`` maps a channel's name to its configuration file; ``addresses`` replaces the address in it (of the
-    external system for a client, the own one for a server).  ``wrap`` may put faults on each new connection.
+    external system for a client, the own one for a server).  ``link`` may put faults on each connection.
     """
 
     def __init__(
@@ -84,7 +80,7 @@ class EthernetKrl:
         rng: random.Random,
         addresses: Mapping[str, tuple[str, int]] | None = None,
         wire: WireOptions | None = None,
-        wrap: Callable[[Transport], Transport] = _no_wrap,
+        link: Link | None = None,
         on_telegram: Callable[[str, TelegramDirection, bytes], None] = _no_telegram,
         on_notice: Callable[[str, str], None] = _no_notice,
         clock: Callable[[], float] = time.monotonic,
@@ -93,7 +89,7 @@ class EthernetKrl:
         self._addresses = {name.lower(): address for name, address in (addresses or {}).items()}
         self._hooks = Hooks(set_flag, set_out, on_telegram, on_notice)
         self._wire = wire or WireOptions()
-        self._wrap = wrap
+        self._link = link or PlainLink()
         self._rng = rng
         self._clock = clock
         self._channels: dict[str, Channel] = {}
@@ -135,6 +131,9 @@ class EthernetKrl:
 
     def _connect(self, key: str, channel: Channel) -> EkiStatus:
         address = self._addresses.get(key, (channel.config.external_ip, channel.config.external_port))
+        if not self._link.reachable:
+            self._hooks.notice(channel.name, f"no connection to {address[0]}:{address[1]}: the cable is cut")
+            return self._status(channel, EkiMessage.NOT_ESTABLISHED)
         try:
             socket_transport = connect(address, self.connect_timeout_s(channel.name))
         except OSError as error:
@@ -155,7 +154,7 @@ class EthernetKrl:
         return self._status(channel)
 
     def _attach(self, key: str, channel: Channel, transport: Transport) -> None:
-        channel.attach(self._wrap(transport))
+        channel.attach(self._link.wrap(transport))
         if channel.config.ping_s is not None:
             self._ping_due[key] = self._clock() + channel.config.ping_s
 
@@ -325,8 +324,9 @@ class EthernetKrl:
             return changed
         with selectors.DefaultSelector() as selector:
             for channel in self._channels.values():
-                if channel.transport is not None:
-                    selector.register(channel.transport.fileno(), selectors.EVENT_READ)
+                fd = channel.transport.readable_fd() if channel.transport is not None else None
+                if fd is not None:
+                    selector.register(fd, selectors.EVENT_READ)
             for server in self._servers.values():
                 selector.register(server.listener, selectors.EVENT_READ)
             if not selector.get_map():

@@ -7,7 +7,7 @@ import socket
 from contextlib import suppress
 from typing import Protocol
 
-__all__ = ["LinkClosedError", "SocketTransport", "Transport", "connect", "listen"]
+__all__ = ["Link", "LinkClosedError", "PlainLink", "SocketTransport", "Transport", "connect", "listen"]
 
 RECEIVE_BYTES = 65536
 MAX_UNSENT_BYTES = 1024 * 1024
@@ -20,8 +20,8 @@ class LinkClosedError(Exception):
 class Transport(Protocol):
     """One connection.  Nothing here waits."""
 
-    def fileno(self) -> int:
-        """Return the descriptor to wait on for received bytes."""
+    def readable_fd(self) -> int | None:
+        """Return the descriptor to wait on for received bytes, if there is one."""
         ...
 
     def send(self, data: bytes) -> None:
@@ -46,6 +46,29 @@ class Transport(Protocol):
         ...
 
 
+class Link(Protocol):
+    """What connections run over."""
+
+    @property
+    def reachable(self) -> bool:
+        """Whether a new connection can be made."""
+        ...
+
+    def wrap(self, transport: Transport) -> Transport:
+        """Return the connection as it runs over this link."""
+        ...
+
+
+class PlainLink:
+    """A link without faults."""
+
+    reachable = True
+
+    def wrap(self, transport: Transport) -> Transport:
+        """Return the connection itself."""
+        return transport
+
+
 class SocketTransport:
     """A connected TCP socket."""
 
@@ -55,7 +78,7 @@ class SocketTransport:
         self._socket = connected
         self._unsent = bytearray()
 
-    def fileno(self) -> int:
+    def readable_fd(self) -> int | None:
         """Return the socket's descriptor."""
         return self._socket.fileno()
 
