@@ -52,6 +52,7 @@ def choose_grasp(slot: Polygon, parameters: GraspParameters) -> Grasp:
             f" free circle of {needed:.1f} mm radius, the largest on this slab has {free:.1f} mm",
         )
     nearest, _ = nearest_points(allowed, centre)
-    point = np.array([nearest.x, nearest.y])
+    # Rounded to a nanometre, and without the sign of a negative zero.
+    point: Points = np.array([round(nearest.x, 6), round(nearest.y, 6)], np.float64) + 0.0
     clearance = float(distance_to_outline(point[None, :], slot.vertices)[0])
     return Grasp(point, clearance, float(np.linalg.norm(point - slot.centroid)))

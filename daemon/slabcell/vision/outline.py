@@ -54,7 +54,7 @@ def resample(polygon: Points, count: int) -> Points:
     closed = np.vstack([polygon, polygon[:1]])
     lengths = np.hypot(*np.diff(closed, axis=0).T)
     along = np.concatenate([[0.0], np.cumsum(lengths)])
-    at: npt.NDArray[np.float64] = np.arange(count) * float(along[-1] / count)
+    at = np.linspace(0.0, float(along[-1]), count, endpoint=False)
     result = np.empty((count, 2))
     for axis in (0, 1):
         result[:, axis] = np.interp(at, along, closed[:, axis])

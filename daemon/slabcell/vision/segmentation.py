@@ -94,7 +94,7 @@ def segment(grey: Grey, parameters: SegmentationParameters) -> Segmentation:
 
 
 def _split(sample: Mask) -> _Split | None:
-    histogram = cv2.calcHist([sample], [0], None, [256], [0, 256]).reshape(-1).astype(np.float64)
+    histogram = _histogram(sample)
     values = np.log(np.arange(256) + DARK_OFFSET)
     weight = np.cumsum(histogram)
     moment = np.cumsum(histogram * values)
@@ -120,17 +120,20 @@ def _split(sample: Mask) -> _Split | None:
     )
 
 
+def _histogram(sample: Mask) -> Levels:
+    return cv2.calcHist([sample], [0], None, [256], [0, 256]).reshape(-1).astype(np.float64)
+
+
 def _noise(sample: Mask) -> float:
     """Return the standard deviation of the pixel noise, from differences of neighbours, which edges barely touch."""
     if sample.shape[1] < 3:
         return 0.0
-    rows = sample[::2].astype(np.int16)
-    steps = np.abs(rows[:, 1:] - rows[:, :-1])
-    counts = np.bincount(steps.reshape(-1), minlength=2)
+    steps = cv2.absdiff(sample[::2, 1:], sample[::2, :-1])
+    counts = _histogram(_as_mask(steps))
     # The median of |N(0, s√2)| is 0.954 s; interpolated within its grey level.
-    half = 0.5 * counts.sum()
+    half = 0.5 * float(counts.sum())
     cumulative = np.cumsum(counts)
-    bin_index = int(np.searchsorted(cumulative, half))
+    bin_index = int(np.count_nonzero(cumulative < half))
     before = float(cumulative[bin_index - 1]) if bin_index else 0.0
     median = max(0.0, bin_index - 0.5 + (half - before) / max(float(counts[bin_index]), 1.0))
     return median / 0.954

@@ -1,5 +1,7 @@
 """Small pictures of slabs with known poses, for the tests of the vision."""
 
+from itertools import pairwise
+
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -30,11 +32,15 @@ def calibration(width: int = 800, height: int = 600, mm_per_px: float = 0.5, k1:
     return Calibration(CameraIdentity(width, height), lens, TablePlane(rotation, np.array([0.0, 0.0, distance])))
 
 
+def moved(shape: npt.ArrayLike, x: float, y: float) -> Points:
+    """Return an outline shifted by x and y."""
+    return np.asarray(shape, float) + np.array([x, y])
+
+
 def recipe(shapes: list[list[tuple[float, float]]] | None = None, thickness_mm: float = 0.0) -> Recipe:
     """The smallest recipe of these slots, laid out beside each other."""
     slots = tuple(
-        Polygon.from_points(np.array(shape, float) + (100.0 * index, 10.0))
-        for index, shape in enumerate(shapes or SHAPES)
+        Polygon.from_points(moved(shape, 100.0 * index, 10.0)) for index, shape in enumerate(shapes or SHAPES)
     )
     return Recipe.from_template(Template("test", slots, ""), thickness_mm)
 
@@ -56,10 +62,7 @@ def render(
     for outline in outlines:
         closed = np.vstack([outline, outline[:1]])
         dense = np.concatenate(
-            [
-                start + (end - start) * np.linspace(0, 1, 40, endpoint=False)[:, None]
-                for start, end in zip(closed, closed[1:])
-            ]
+            [start + (end - start) * np.linspace(0, 1, 40, endpoint=False)[:, None] for start, end in pairwise(closed)]
         )
         pixels = camera.image_from_table(dense, height_mm)
         corners = (pixels + 0.5) * OVERSAMPLING - 0.5

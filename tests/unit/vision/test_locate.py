@@ -6,7 +6,7 @@ from slabcell.geometry import Polygon
 from slabcell.vision import Locator, locate
 from slabcell.vision.result import LocateResult, RejectionReason
 
-from .pictures import L_SHAPE, RECTANGLE, SHAPES, SQUARE, calibration, recipe, render, scatter
+from .pictures import L_SHAPE, RECTANGLE, SHAPES, SQUARE, calibration, moved, recipe, render, scatter
 
 pytestmark = pytest.mark.unit
 
@@ -71,8 +71,7 @@ def test_a_mirrored_slab_is_refused():
 
 
 def test_a_second_slab_for_a_filled_slot_is_refused_as_taken():
-    square = np.array(SQUARE, float) - 20
-    result = locate(render(CAMERA, [square + (-80, 0), square + (80, 0)]), CAMERA, recipe([SQUARE]))
+    result = locate(render(CAMERA, [moved(SQUARE, -100, -20), moved(SQUARE, 60, -20)]), CAMERA, recipe([SQUARE]))
     assert [part.slot for part in result.parts] == [0]
     assert [blob.reason for blob in result.rejected] == [RejectionReason.SLOT_TAKEN]
 
@@ -92,15 +91,15 @@ def test_only_blobs_inside_the_area_count():
 
 
 def test_slabs_that_touch_are_reported_and_not_picked():
-    first = np.array(RECTANGLE, float) - (80, 20)
-    second = np.array(RECTANGLE, float) + (0, -20)
+    first = moved(RECTANGLE, -80, -20)
+    second = moved(RECTANGLE, 0, -20)
     result = locate(render(CAMERA, [first, second]), CAMERA, recipe([RECTANGLE, SQUARE]))
     assert result.parts == ()
     assert [blob.reason for blob in result.rejected] == [RejectionReason.TOUCHING]
 
 
 def test_a_slab_at_the_rim_is_refused():
-    result = locate(render(CAMERA, [np.array(RECTANGLE, float) + (160, 0)]), CAMERA, PRODUCT)
+    result = locate(render(CAMERA, [moved(RECTANGLE, 160, 0)]), CAMERA, PRODUCT)
     assert result.parts == ()
     assert [blob.reason for blob in result.rejected] == [RejectionReason.TOUCHES_BORDER]
 

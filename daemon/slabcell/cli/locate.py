@@ -1,0 +1,203 @@
+"""`slabcell locate`: which slabs lie on these pictures, where, and which slot is each for?
+
+Exit code 0: every picture was looked at, whatever was found on it.  Otherwise the code of the first picture that could
+not be used (1 for a file that is no complete picture, 78 for one of another camera); the others are still done.
+"""
+
+import csv
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import cv2
+import numpy.typing as npt
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from slabcell.calibration import load_calibration
+from slabcell.errors import CalibrationError, ImageError, SlabcellError, UsageError
+from slabcell.images import read_image
+from slabcell.recipe import load_recipe
+from slabcell.vision import Locator
+from slabcell.vision.overlay import draw_overlay
+from slabcell.vision.result import LocateResult
+
+__all__ = ["locate_command"]
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+CSV_HEAD = (
+    "image,slot,pick_x_mm,pick_y_mm,pick_a_deg,place_x_mm,place_y_mm,place_a_deg,thickness_mm,score,"
+    "sigma_x_mm,sigma_y_mm,sigma_a_deg"
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Located:
+    """A picture's file, pixels and result."""
+
+    path: Path
+    image: npt.NDArray[Any]
+    result: LocateResult
+
+
+def locate_command(
+    images: Annotated[
+        list[Path], typer.Argument(metavar="IMAGE...", help="PNG, JPEG or TIFF pictures, or directories of them.")
+    ],
+    calibration: Annotated[
+        Path,
+        typer.Option("--calibration", metavar="FILE", help="What `slabcell calibrate` wrote: lens and table plane."),
+    ],
+    recipe: Annotated[Path, typer.Option("--recipe", metavar="FILE", help="Recipe: template, thickness, parameters.")],
+    overlay: Annotated[
+        Path | None,
+        typer.Option(
+            "--overlay",
+            metavar="OUT",
+            help="Draw the result into OUT.png, or for several pictures into the directory OUT.",
+        ),
+    ] = None,
+    poses_csv: Annotated[
+        Path | None, typer.Option("--poses-csv", metavar="OUT.csv", help="Write the pick and place poses as a table.")
+    ] = None,
+    *,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object; of several pictures one on each line.")
+    ] = False,
+) -> None:
+    """Find the slabs on image files, and the slot of each."""
+    paths = _expand(images)
+    if overlay is not None and len(paths) > 1 and overlay.suffix.lower() in SUFFIXES:
+        msg = f"--overlay {overlay} is one file, but there are {len(paths)} pictures: name a directory"
+        raise UsageError(msg)
+    locator = Locator(load_calibration(calibration), load_recipe(recipe))
+    locator.calibration.require_plane()
+    console = Console()
+    rows: list[tuple[object, ...]] = []
+    failures: list[SlabcellError] = []
+    for path in paths:
+        try:
+            located = _locate(path, locator)
+        except (ImageError, CalibrationError) as error:
+            failures.append(error)
+            typer.echo(f"slabcell: error: {error}", err=True)
+            continue
+        if as_json:
+            document = located.result.to_document(str(path))
+            typer.echo(json.dumps(document, indent=None if len(paths) > 1 else 1, ensure_ascii=False))
+        else:
+            _print(console, located)
+        rows += _pose_rows(located, locator)
+        if overlay is not None:
+            _write_overlay(overlay, located, single=len(paths) == 1)
+    if poses_csv is not None:
+        text = io.StringIO()
+        text.write(CSV_HEAD + "\n")
+        csv.writer(text, lineterminator="\n").writerows(rows)
+        _write(poses_csv, text.getvalue().encode("utf-8"))
+    if failures:
+        raise typer.Exit(failures[0].exit_code)
+
+
+def _expand(images: Sequence[Path]) -> list[Path]:
+    """Return the files, with directories replaced by the pictures in them, in the order of their names."""
+    paths: list[Path] = []
+    for path in images:
+        if path.is_dir():
+            inside = sorted(item for item in path.iterdir() if item.suffix.lower() in SUFFIXES)
+            if not inside:
+                msg = f"{path}: holds no picture ({', '.join(SUFFIXES)})"
+                raise UsageError(msg)
+            paths += inside
+        else:
+            paths.append(path)
+    return paths
+
+
+def _locate(path: Path, locator: Locator) -> _Located:
+    image = read_image(path)
+    locator.calibration.require_size(image.shape[1], image.shape[0], str(path))
+    return _Located(path, image, locator.locate(image))
+
+
+def _print(console: Console, located: _Located) -> None:
+    result = located.result
+    table = Table(
+        "Slot",
+        "Score",
+        "Off mm",
+        "Pick x, y mm, a °",
+        "Place x, y mm",
+        "± mm, °",
+        title=f"{escape(str(located.path))}: {len(result.parts)} located, {len(result.rejected)} refused,"
+        f" {len(result.empty_slots)} slots without a slab, {result.timing_ms.get('total', 0.0):.1f} ms",
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+    )
+    for column in table.columns:
+        column.justify = "right"
+        column.no_wrap = True
+    for part in result.parts:
+        alike = f" /{part.symmetry_order}" if part.symmetry_order > 1 else ""
+        table.add_row(
+            f"{part.slot}{alike}",
+            f"{part.score:.3f}",
+            f"{part.residual_mm:.3f}",
+            f"{part.pick.x_mm:.2f} {part.pick.y_mm:8.2f} {part.pick.a_deg:8.3f}",
+            f"{part.place.x_mm:.2f} {part.place.y_mm:8.2f}",
+            f"{max(part.sigma.x_mm, part.sigma.y_mm):.3f} {part.sigma.a_deg:.3f}",
+        )
+    console.print(table)
+    console.print(f"Segmentation: {escape(result.segmentation)}")
+    for blob in result.rejected:
+        console.print(f"Refused at ({blob.u:.0f}, {blob.v:.0f}) px, {blob.reason.value}: {escape(blob.detail)}")
+    if any(part.symmetry_order > 1 for part in result.parts):
+        console.print("Slot /n: n rotations of the slab look alike.")
+    if result.empty_slots:
+        console.print(f"Slots without a slab: {', '.join(str(slot) for slot in result.empty_slots)}")
+
+
+def _pose_rows(located: _Located, locator: Locator) -> list[tuple[object, ...]]:
+    return [
+        (
+            str(located.path),
+            part.slot,
+            *(f"{value:.4f}" for value in (part.pick.x_mm, part.pick.y_mm, part.pick.a_deg)),
+            *(f"{value:.4f}" for value in (part.place.x_mm, part.place.y_mm, part.place.a_deg)),
+            f"{locator.recipe.thickness_mm:g}",
+            f"{part.score:.4f}",
+            *(f"{value:.5f}" for value in (part.sigma.x_mm, part.sigma.y_mm, part.sigma.a_deg)),
+        )
+        for part in located.result.parts
+    ]
+
+
+def _write_overlay(target: Path, located: _Located, *, single: bool) -> None:
+    path = target
+    if not single or target.suffix.lower() not in SUFFIXES:
+        path = target / f"{located.path.stem}.overlay.png"
+    done, encoded = cv2.imencode(path.suffix.lower(), draw_overlay(located.image, located.result))
+    if not done:
+        msg = f"{path}: the overlay cannot be encoded as {path.suffix}"
+        raise SlabcellError(msg)
+    _write(path, encoded.tobytes())
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write a file in one step, so that nobody reads half of it."""
+    temporary = path.with_name(path.name + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_bytes(content)
+        temporary.replace(path)
+    except OSError as error:
+        msg = f"{path}: cannot be written: {error.strerror}"
+        raise SlabcellError(msg) from error
