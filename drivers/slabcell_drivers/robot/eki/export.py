@@ -153,7 +153,7 @@ def _renamed(programs: Mapping[str, str], prefix: str) -> dict[str, str]:
             raise ExportError(f"prefix {prefix!r}: {name} would become {new}, longer than {MAX_NAME_CHARS} characters")
         if new in names:
             raise ExportError(f"prefix {prefix!r}: {name} would become {new}, which the programs already have")
-    pattern = re.compile(rf"(?<![\w$]){OWN_PREFIX}(?=_\w|\.(?:src|dat)\b|\b)")
+    pattern = re.compile(rf"(?<![\w$]){OWN_PREFIX}(?=_|\b)")
     return {pattern.sub(prefix, name): pattern.sub(prefix, text) for name, text in programs.items()}
 
 
