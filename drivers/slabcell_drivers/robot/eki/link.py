@@ -7,28 +7,19 @@ address replaces it only if the old one has been silent for ``dead_after_s``; ot
 
 A dead peer is noticed by TCP keep-alive (a pulled cable: within two seconds, with no help from the program) and, once
 a robot has sent a heartbeat on its connection, by the heartbeat's absence.
-
-The handler runs for one request at a time, over all connections: a request that is under way when the connection is
-lost is finished first, its answer is dropped, and only then the new connection's HELLO is handed on.
 """
 
 import asyncio
-import dataclasses
-import socket
 import time
 from collections.abc import Callable
 
 import structlog
 
-from slabcell_drivers.robot.eki.codec import TelegramError, encode_answer
+from slabcell_drivers.robot.eki.answering import HANDLER_FAILED_CODE, Answering, notice_dead_peer
 from slabcell_drivers.robot.eki.connection import Connection, Direction, EndReason, TelegramHook
-from slabcell_drivers.robot.protocol import Answer, Handler, LinkState, Request
+from slabcell_drivers.robot.protocol import Handler, LinkState
 
 __all__ = ["HANDLER_FAILED_CODE", "Direction", "EkiServer", "EndReason", "TelegramHook"]
-
-HANDLER_FAILED_CODE = 1801
-"""Entry of the error catalogue for "the cell itself failed while it answered"."""
-HANDLER_FAILED_TEXT = "slabcell: internal error, see the cell's log"
 
 _log = structlog.get_logger(__name__)
 
@@ -59,12 +50,10 @@ class EkiServer:
         self._on_state = on_state
         self._state = LinkState.CLOSED
         self._server: asyncio.Server | None = None
-        self._handler: Handler | None = None
-        self._turn = asyncio.Lock()
+        self._answering: Answering | None = None
         self._current: Connection | None = None
         self._current_host = ""
         self._tasks: set[asyncio.Task[None]] = set()
-        self._answers: set[asyncio.Task[Answer]] = set()
         self.last_end: EndReason | None = None
         """Why the last connection ended."""
 
@@ -85,7 +74,7 @@ class EkiServer:
         """Begin to listen.  Raises OSError if the address is taken, RuntimeError if already started."""
         if self._server is not None:
             raise RuntimeError("the EKI server is already started")
-        self._handler = handler
+        self._answering = Answering(handler)
         self._server = await asyncio.start_server(self._accept, self._host, self._port, backlog=4)
         self._set_state(LinkState.LISTENING)
 
@@ -98,7 +87,8 @@ class EkiServer:
         if self._current is not None:
             self._current.end(EndReason.STOPPED)
         await asyncio.gather(*self._tasks, return_exceptions=True)
-        await asyncio.gather(*self._answers, return_exceptions=True)
+        if self._answering is not None:
+            await self._answering.settle()
         await server.wait_closed()
         self._set_state(LinkState.CLOSED)
 
@@ -114,8 +104,8 @@ class EkiServer:
 
     def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         host = str(writer.get_extra_info("peername")[0])
-        refusal = self._refusal(host)
-        if refusal:
+        answering, refusal = self._answering, self._refusal(host)
+        if answering is None or refusal:
             _log.warning("eki.refused", host=host, reason=refusal)
             writer.transport.abort()
             return
@@ -124,11 +114,11 @@ class EkiServer:
         connection = Connection(
             reader,
             writer,
-            self._answer,
+            answering.answer,
             heartbeat_timeout_s=self._heartbeat_timeout_s,
             on_telegram=self._on_telegram,
         )
-        _keep_alive(writer.get_extra_info("socket"))
+        notice_dead_peer(writer.get_extra_info("socket"))
         self._current, self._current_host = connection, host
         self._set_state(LinkState.CONNECTED)
         task = asyncio.get_running_loop().create_task(self._serve(connection, host))
@@ -155,42 +145,3 @@ class EkiServer:
             self._current = None
             if self._server is not None:
                 self._set_state(LinkState.LISTENING)
-
-    # --------------------------------------------------------------------------------------------------------- answers
-
-    async def _answer(self, request: Request) -> Answer:
-        """Ask the handler, in turn.  Its work outlives the connection: it may be half way through a ledger."""
-        task = asyncio.get_running_loop().create_task(self._ask(request))
-        self._answers.add(task)
-        task.add_done_callback(self._answers.discard)
-        return await asyncio.shield(task)
-
-    async def _ask(self, request: Request) -> Answer:
-        if self._handler is None:
-            raise RuntimeError("a request arrived before start()")
-        async with self._turn:
-            try:
-                answer = await self._handler(request)
-                encode_answer(answer)
-            except TelegramError as error:
-                _log.exception("eki.answer_unsendable", request=request.type.name)
-                return _failure(request, str(error))
-            except Exception:  # noqa: BLE001 - the robot must get an answer, whatever the cell's fault is
-                _log.exception("eki.handler_failed", request=request.type.name, sequence=request.sequence)
-                return _failure(request, HANDLER_FAILED_TEXT)
-        return dataclasses.replace(answer, acknowledges=request.sequence)
-
-
-def _failure(request: Request, text: str) -> Answer:
-    return Answer(request.session, request.sequence, request.sequence, HANDLER_FAILED_CODE, message=text)
-
-
-def _keep_alive(sock: socket.socket) -> None:
-    """Have the kernel notice a dead peer within two seconds: a probe after one second of silence, one to answer it."""
-    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 1)
-    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 1)
-    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, 1)
-    # Also when an answer of ours stays unacknowledged, which keep-alive alone does not cover.
-    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, 2000)

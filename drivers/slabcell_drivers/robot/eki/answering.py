@@ -1,0 +1,70 @@
+"""How do requests reach the cell, whatever happens to their connection?  One at a time, and each is finished.
+
+A request that is under way when its connection is lost is not cancelled, because the cell may be half way through its
+ledger; its answer is dropped, and only then the next connection's request is handed on.
+"""
+
+import asyncio
+import dataclasses
+import socket
+
+import structlog
+
+from slabcell_drivers.robot.eki.codec import TelegramError, encode_answer
+from slabcell_drivers.robot.protocol import Answer, Handler, Request
+
+__all__ = ["HANDLER_FAILED_CODE", "Answering", "notice_dead_peer"]
+
+HANDLER_FAILED_CODE = 1801
+"""Entry of the error catalogue for "the cell itself failed while it answered"."""
+HANDLER_FAILED_TEXT = "slabcell: internal error, see the cell's log"
+
+_log = structlog.get_logger(__name__)
+
+
+class Answering:
+    """Asks the handler, one request after the other over all connections of a link."""
+
+    def __init__(self, handler: Handler) -> None:
+        self._handler = handler
+        self._turn = asyncio.Lock()
+        self._tasks: set[asyncio.Task[Answer]] = set()
+
+    async def answer(self, request: Request) -> Answer:
+        """Return what to send: the handler's answer, or an error number if it raises or cannot be sent."""
+        task = asyncio.get_running_loop().create_task(self._ask(request))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return await asyncio.shield(task)
+
+    async def settle(self) -> None:
+        """Wait until no request is under way."""
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    async def _ask(self, request: Request) -> Answer:
+        async with self._turn:
+            try:
+                answer = await self._handler(request)
+                encode_answer(answer)
+            except TelegramError as error:
+                _log.exception("eki.answer_unsendable", request=request.type.name)
+                return _failure(request, str(error))
+            except Exception:  # noqa: BLE001 - the robot must get an answer, whatever the cell's fault is
+                _log.exception("eki.handler_failed", request=request.type.name, sequence=request.sequence)
+                return _failure(request, HANDLER_FAILED_TEXT)
+        return dataclasses.replace(answer, acknowledges=request.sequence)
+
+
+def _failure(request: Request, text: str) -> Answer:
+    return Answer(request.session, request.sequence, request.sequence, HANDLER_FAILED_CODE, message=text)
+
+
+def notice_dead_peer(sock: socket.socket) -> None:
+    """Have the kernel notice a dead peer within two seconds: a probe after one second of silence, one to answer it."""
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 1)
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 1)
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, 1)
+    # Also when an answer of ours stays unacknowledged, which keep-alive alone does not cover.
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, 2000)
