@@ -47,7 +47,7 @@ def board_corners(camera: CameraSpec, board: BoardSpec, pose: Frame) -> Points:
 def camera_views(scene: Scene, seed: int = 0, count: int = 15) -> tuple[Frame, ...]:
     """Return poses of the board, in the root, that calibrate the lens well: tilted, near and far, all over the view.
 
-    Every inner corner of every view is inside the picture.
+    Near ones are in the middle of the picture, others at its rim, with at least half of their white margin in view.
     """
     random = np.random.default_rng([seed, 5])
     camera, board = scene.camera, scene.board
@@ -55,14 +55,14 @@ def camera_views(scene: Scene, seed: int = 0, count: int = 15) -> tuple[Frame, .
     found: list[Frame] = []
     while len(found) < count:
         index = len(found)
-        distance = camera.frame.z_mm * random.uniform(0.62, 0.92)
-        u = camera.width * (0.5 + 0.3 * ((index % 3) - 1) + random.uniform(-0.06, 0.06))
-        v = camera.height * (0.5 + 0.26 * ((index // 3 % 3) - 1) + random.uniform(-0.06, 0.06))
-        lean, towards = np.deg2rad(random.uniform(12.0, 38.0)), random.uniform(0, 2 * np.pi)
+        distance = camera.frame.z_mm * random.uniform(*((0.6, 0.72) if index % 9 == 4 else (0.78, 0.95)))
+        u = camera.width * (0.5 + 0.4 * ((index % 3) - 1) + random.uniform(-0.06, 0.06))
+        v = camera.height * (0.5 + 0.4 * ((index // 3 % 3) - 1) + random.uniform(-0.06, 0.06))
+        lean, towards = np.deg2rad(random.uniform(12.0, 35.0)), random.uniform(0, 2 * np.pi)
         axis = np.array([np.cos(towards), np.sin(towards), 0.0]) * lean
         lying = _rotation(axis) @ _rotation(np.array([0.0, 0.0, random.uniform(-0.3, 0.3)]))
         facing = lying @ np.diag([1.0, -1.0, -1.0])  # the printed face looks into the camera
-        for shrink in np.linspace(1.0, 0.0, 11):  # towards the middle of the view until all of the board is seen
+        for shrink in np.linspace(1.0, 0.0, 41):  # towards the middle of the view until all of the board is seen
             centre = np.array(
                 [
                     (camera.width / 2 + shrink * (u - camera.width / 2) - camera.cx_px) / camera.fx_px * distance,
@@ -91,11 +91,11 @@ def plane_views(scene: Scene, count: int = 5, *, thickness_mm: float | None = No
     table = scene.table.frame
     poses = [table @ Frame(z_mm=height)]
     middle = Frame(-(board.columns - 1) * board.pitch_mm / 2, -(board.rows - 1) * board.pitch_mm / 2)
-    spots = [(0.27, 0.3), (0.73, 0.3), (0.27, 0.7), (0.5, 0.5), (0.73, 0.7), (0.5, 0.3), (0.5, 0.7), (0.3, 0.5)]
+    spots = [(0.1, 0.1), (0.9, 0.1), (0.1, 0.9), (0.9, 0.9), (0.5, 0.5), (0.5, 0.1), (0.5, 0.9), (0.1, 0.5)]
     for index in range(count - 1):
         share_u, share_v = spots[index % len(spots)]
         turn = (12.0, 95.0, -20.0, 50.0, 170.0, -80.0, 30.0, 140.0)[index % len(spots)] + 7.0 * (index // len(spots))
-        for shrink in np.linspace(1.0, 0.0, 11):
+        for shrink in np.linspace(1.0, 0.0, 41):
             spot = (
                 camera.width * (0.5 + shrink * (share_u - 0.5)),
                 camera.height * (0.5 + shrink * (share_v - 0.5)),
@@ -123,11 +123,12 @@ def _on_plane(camera: CameraSpec, pixel: tuple[float, float], height_mm: float) 
 
 
 def _inside(camera: CameraSpec, board: BoardSpec, pose: Frame) -> bool:
-    """Tell whether the whole sheet is in the picture, a few pixels from its rim."""
-    sheet = _rectangle(*_rim(board))
-    pixels = Projector(camera).pixels(sheet @ pose.matrix[:3, :2].T + pose.matrix[:3, 3])
-    low, high = pixels.min(axis=0), pixels.max(axis=0)
-    return bool(np.all(low > 4) and high[0] < camera.width - 5 and high[1] < camera.height - 5)
+    """Tell whether all squares and half of the margin are in the picture."""
+    left, low, right, high = _rim(board)
+    half = board.margin_mm / 2
+    print_ = _rectangle(left + half, low + half, right - half, high - half)
+    pixels = Projector(camera).pixels(print_ @ pose.matrix[:3, :2].T + pose.matrix[:3, 3])
+    return bool(np.all(pixels > 0) and np.all(pixels < (camera.width - 1, camera.height - 1)))
 
 
 def _rim(board: BoardSpec) -> tuple[float, float, float, float]:

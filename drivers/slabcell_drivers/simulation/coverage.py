@@ -67,10 +67,10 @@ def cover(contours: Iterable[Points], window: Window) -> npt.NDArray[np.float32]
     inside = rise * (across - column)  # what the piece leaves to the next pixels only
     stride = window.width + 1
     cell = row * stride + column
-    total = np.bincount(cell, rise - inside, window.height * stride)
-    total[1:] += np.bincount(cell, inside, window.height * stride)[:-1]
-    sums = np.cumsum(total.reshape(window.height, stride), axis=1)[:, :-1]
-    return np.abs(sums).astype(np.float32)
+    total = np.bincount(cell, rise - inside, window.height * stride + 1)
+    total += np.bincount(cell + 1, inside, window.height * stride + 1)
+    sums = np.cumsum(total[:-1].reshape(window.height, stride), axis=1)[:, :-1]
+    return np.abs(sums, dtype=np.float32, casting="same_kind")
 
 
 def _edges(contours: Iterable[Points], window: Window) -> tuple[Points, Points]:

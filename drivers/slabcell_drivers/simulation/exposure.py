@@ -6,7 +6,7 @@ than 2e-4 px from where it should be at a blur of 0.8 px.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import cv2
 import numpy as np
@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from slabcell_drivers.simulation.coverage import Window, cover
 
-__all__ = ["FINE", "add_blurred", "cover_fine", "fine_window"]
+__all__ = ["FINE", "add_blurred", "cover_fine", "cover_part", "fine_window"]
 
 FINE = 4  # sub-pixels per pixel and axis
 
@@ -43,6 +43,16 @@ def fine_window(contours: Iterable[Points], width: int, height: int, blur_sigma_
 def cover_fine(contours: Iterable[Points], window: Window) -> Field:
     """Return the covered share of each sub-pixel of a window, shape (FINE·height, FINE·width)."""
     return cover(contours, Window(window.left * FINE, window.top * FINE, window.width * FINE, window.height * FINE))
+
+
+def cover_part(contours: Sequence[Points], window: Window) -> tuple[Window, Field]:
+    """Return the part of a window's fine grid that contours reach, counted from the window's corner, and its shares."""
+    corner = (window.left * FINE, window.top * FINE)
+    moved = [contour - corner for contour in contours]
+    part = Window.around(moved, window.width * FINE, window.height * FINE)
+    if part is None:
+        return Window(0, 0, 0, 0), np.zeros((0, 0), np.float32)
+    return part, cover(moved, part)
 
 
 def add_blurred(image: Field, window: Window, fine: Field, blur_sigma_px: float) -> None:

@@ -19,7 +19,7 @@ Pose = tuple[float, float, float]
 TRIES_A_SLAB = 200
 ROUNDS = 4
 SHAKES_A_SLAB = 150
-SHELF_STEP_MM = 4.0
+SHELF_STEPS_MM = (4.0, 2.0)
 
 
 class LayoutError(ValueError):
@@ -33,12 +33,23 @@ def strew(
 
     Raises LayoutError if they do not even fit laid out in shelves.
     """
-    order = sorted(range(len(bodies)), key=lambda index: -shapely.Polygon(bodies[index]).area)
-    for _ in range(ROUNDS):
-        found = _reject(bodies, order, area, clearance_mm, random)
-        if found is not None:
-            return found
-    return _shake(bodies, _shelves(bodies, order, area, clearance_mm), area, clearance_mm, random)
+    shapes = [shapely.Polygon(body) for body in bodies]
+    order = sorted(range(len(bodies)), key=lambda index: -shapes[index].area)
+    needed = sum(shape.buffer(0.5 * clearance_mm).area for shape in shapes)
+    if needed <= area.buffer(0.5 * clearance_mm).area:
+        for _ in range(ROUNDS):
+            found = _reject(bodies, order, area, clearance_mm, random)
+            if found is not None:
+                return found
+        for step_mm in SHELF_STEPS_MM:
+            shelved = _shelves(bodies, order, area, clearance_mm, step_mm)
+            if shelved is not None:
+                return _shake(bodies, shelved, area, clearance_mm, random)
+    msg = (
+        f"{len(bodies)} slabs of {sum(shape.area for shape in shapes):.0f} mm², {clearance_mm:g} mm "
+        f"apart, do not fit into the pick area of {area.area:.0f} mm²: make it larger or the clearance smaller"
+    )
+    raise LayoutError(msg)
 
 
 def posed(body: Points, pose: Pose) -> shapely.Polygon:
@@ -77,8 +88,10 @@ def _reject(
     return [poses[index] for index in range(len(bodies))]
 
 
-def _shelves(bodies: Sequence[Points], order: Sequence[int], area: shapely.Polygon, clearance_mm: float) -> list[Pose]:
-    """Return poses in rows from the area's lower left, each slab at its own angle zero, tallest first."""
+def _shelves(
+    bodies: Sequence[Points], order: Sequence[int], area: shapely.Polygon, clearance_mm: float, step_mm: float
+) -> list[Pose] | None:
+    """Return poses in rows from the area's lower left, at angle zero, tallest first; None if they do not fit so."""
     left, low, right, high = area.bounds
     gap = clearance_mm * 1.01 + 1e-6
     waiting = sorted(order, key=lambda index: -float(np.ptp(bodies[index][:, 1])))
@@ -87,8 +100,8 @@ def _shelves(bodies: Sequence[Points], order: Sequence[int], area: shapely.Polyg
     for index in waiting:
         body = bodies[index]
         corner = body.min(axis=0)
-        for y in np.arange(low, high, SHELF_STEP_MM):
-            for x in np.arange(left, right, SHELF_STEP_MM):
+        for y in np.arange(low, high, step_mm):
+            for x in np.arange(left, right, step_mm):
                 pose = (float(x - corner[0]), float(y - corner[1]), 0.0)
                 shape = posed(body, pose)
                 if _free(shape, laid, area, gap):
@@ -98,11 +111,7 @@ def _shelves(bodies: Sequence[Points], order: Sequence[int], area: shapely.Polyg
             if index in poses:
                 break
         else:
-            msg = (
-                f"slab {index} does not fit: {len(bodies)} slabs, {clearance_mm:g} mm apart, need more than the pick "
-                f"area of {area.area:.0f} mm²; make it larger or the clearance smaller"
-            )
-            raise LayoutError(msg)
+            return None
     return [poses[index] for index in range(len(bodies))]
 
 

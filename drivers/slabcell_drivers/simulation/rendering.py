@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from slabcell_drivers.simulation.areas import Area
 from slabcell_drivers.simulation.coverage import Window, cover
-from slabcell_drivers.simulation.exposure import FINE, add_blurred, cover_fine, fine_window
+from slabcell_drivers.simulation.exposure import FINE, add_blurred, cover_fine, cover_part, fine_window
 from slabcell_drivers.simulation.projection import Projector, rings
 from slabcell_drivers.simulation.scene import CameraSpec, Optics
 from slabcell_drivers.simulation.slab import Slab
@@ -113,12 +113,14 @@ def _add_slab(
     under = _magnified(table, window)
     fine = np.zeros_like(under)
     for face, contours in zip(faces, outlines, strict=True):
-        share = cover_fine(contours, window)
+        part, share = cover_part(contours, window)
+        if share.size == 0:
+            continue
         if face.facing is None:
-            share *= _upper_face(slab, window, projector, optics) - under
+            share *= _upper_face(slab, window, part, projector, optics) - under[part.slices]
         else:
-            share *= _wall_level(face.facing, slab, optics) - under
-        fine += share
+            share *= _wall_level(face.facing, slab, optics) - under[part.slices]
+        fine[part.slices] += share
     add_blurred(image, window, fine, optics.blur_sigma_px)
 
 
@@ -136,22 +138,22 @@ def _wall_level(facing: tuple[float, float], slab: Slab, optics: Optics) -> floa
     return float(optics.wall_dn * slab.tone * (1.0 + 0.35 * lit))
 
 
-def _upper_face(slab: Slab, window: Window, projector: Projector, optics: Optics) -> Field | float:
+def _upper_face(slab: Slab, window: Window, part: Window, projector: Projector, optics: Optics) -> Field | float:
     level = optics.slab_dn * slab.tone
     if optics.slab_texture <= 0:
         return level
     grain = cv2.warpAffine(
         grain_tile(slab.grain),
-        _tile_from_window(slab, window, projector),
-        (window.width * FINE, window.height * FINE),
+        _tile_from_part(slab, window, part, projector),
+        (part.width, part.height),
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_WRAP,
     )
     return np.asarray(level * (1.0 + optics.slab_texture * grain), np.float32)
 
 
-def _tile_from_window(slab: Slab, window: Window, projector: Projector) -> npt.NDArray[np.float64]:
-    """Return the affine map (2, 3) from sub-pixels of a window to the slab's texture, which is fixed to its body."""
+def _tile_from_part(slab: Slab, window: Window, part: Window, projector: Projector) -> npt.NDArray[np.float64]:
+    """Return the affine map (2, 3) from a part's sub-pixels to the slab's texture, which is fixed to its body."""
     reach = 20.0
     body = np.array([[0.0, 0.0, 0.0], [reach, 0.0, 0.0], [0.0, reach, 0.0]])
     tilt = np.deg2rad(slab.frame.a_deg)
@@ -159,7 +161,7 @@ def _tile_from_window(slab: Slab, window: Window, projector: Projector) -> npt.N
     seen = projector.pixels(body @ turn.T + (slab.frame.x_mm, slab.frame.y_mm, slab.top_mm))
     tile = body[:, :2] / GRAIN_MM + 256.0
     to_tile = np.asarray(cv2.getAffineTransform(seen.astype(np.float32), tile.astype(np.float32)), np.float64)
-    to_tile[:, 2] += to_tile[:, :2] @ (window.left * FINE, window.top * FINE)
+    to_tile[:, 2] += to_tile[:, :2] @ (window.left * FINE + part.left, window.top * FINE + part.top)
     return to_tile
 
 
