@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from slabcell_drivers.krc.motion_path import Arc, Line, Turning, flange_of, quaternion_of, rotation_of
+from slabcell_drivers.krc.motion_path import Arc, Line, OrientedPath, PosePath, flange_of
 from slabcell_drivers.krc.motion_profile import Trapezoid
 from slabcell_drivers.krc.unconfirmed import SINGULAR_A5_DEG, MotionMessage
 from slabcell_drivers.robot.arm import ArmError, ArmFault, ArmModel, Axes
@@ -27,7 +27,9 @@ __all__ = [
     "as_motion_error",
     "plan_circ",
     "plan_lin",
+    "plan_path",
     "plan_ptp",
+    "tcp_pose",
 ]
 
 INTERPOLATION_TICK_S = 0.012
@@ -53,7 +55,9 @@ class MotionKind(StrEnum):
     PTP = "PTP"
     LIN = "LIN"
     CIRC = "CIRC"
+    SPLINE = "SPLINE"
     BLENDED = "BLENDED"
+    STOPPED = "STOPPED"
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,14 +84,29 @@ class Trajectory:
     duration_s: float
     axes_at: Callable[[float], Axes]
     """Axis angles at a time in seconds after the start."""
+    ramp_s: float = 0.0
+    """How long the speed rises at the start, and falls at the end."""
+    tool: Frame = NULL_TOOL
+    marks_s: tuple[float, ...] = ()
+    """When the points on the way are passed; the end is not among them."""
 
     def frame_at(self, time_s: float) -> Frame:
         """Return the flange in the root frame at a time in seconds after the start."""
         return self.arm.forward(self.axes_at(time_s))
 
+    def tcp_at(self, time_s: float) -> Pose:
+        """Return the tool centre point in the root frame at a time in seconds after the start."""
+        return tcp_pose(self.arm, self.axes_at(time_s), self.tool)
+
 
 def plan_ptp(
-    arm: ArmModel, start: Axes, target: Axes, *, speed_percent: float = 100.0, acceleration_percent: float = 100.0
+    arm: ArmModel,
+    start: Axes,
+    target: Axes,
+    *,
+    speed_percent: float = 100.0,
+    acceleration_percent: float = 100.0,
+    tool: Frame = NULL_TOOL,
 ) -> Trajectory:
     """Return the move in which every axis runs in step with the slowest.  Raises MotionError at an axis limit.
 
@@ -103,7 +122,7 @@ def plan_ptp(
     distance = tuple(target[i] - start[i] for i in range(6))
     moving = [i for i in range(6) if distance[i] != 0.0]
     if not moving:
-        return Trajectory(arm, MotionKind.PTP, start, target, 0.0, lambda _: target)
+        return Trajectory(arm, MotionKind.PTP, start, target, 0.0, lambda _: target, tool=tool)
     speed = min(arm.axis_speed_deg_s[i] * speed_percent / 100.0 / abs(distance[i]) for i in moving)
     acceleration = min(
         arm.axis_acceleration_deg_s2[i] * acceleration_percent / 100.0 / abs(distance[i]) for i in moving
@@ -123,7 +142,7 @@ def plan_ptp(
             start[5] + s * distance[5],
         )
 
-    return Trajectory(arm, MotionKind.PTP, start, target, profile.duration_s, axes_at)
+    return Trajectory(arm, MotionKind.PTP, start, target, profile.duration_s, axes_at, profile.ramp_s, tool)
 
 
 def plan_lin(arm: ArmModel, start: Axes, target: Frame, limits: PathLimits, *, tool: Frame = NULL_TOOL) -> Trajectory:
@@ -132,9 +151,10 @@ def plan_lin(arm: ArmModel, start: Axes, target: Frame, limits: PathLimits, *, t
     The status is kept along the way and the turns follow the path, as on the controller, which ignores the S and T of
     such a target.  Raises MotionError: out of reach, axis limit, singularity, axis too fast.
     """
-    tcp = _tcp(arm, start, tool)
+    tcp = tcp_pose(arm, start, tool)
     goal = pose_of_frame(target)
-    return _plan_path(arm, MotionKind.LIN, start, Line(tcp.position, goal.position), goal, limits, tool)
+    path = OrientedPath.between(Line(tcp.position, goal.position), tcp, goal)
+    return plan_path(arm, MotionKind.LIN, start, path, limits, tool)
 
 
 def plan_circ(
@@ -152,52 +172,53 @@ def plan_circ(
     The orientation turns from the start to that of ``target``; that of the auxiliary point is not regarded.  Raises
     MotionError as `plan_lin` does, and if the three points define no circle.
     """
-    tcp = _tcp(arm, start, tool)
+    tcp = tcp_pose(arm, start, tool)
     aux, goal = pose_of_frame(auxiliary), pose_of_frame(target)
     try:
         arc = Arc.through(tcp.position, aux.position, goal.position, angle_deg=circular_angle_deg)
     except ValueError as error:
         raise MotionError(MotionMessage.CIRCLE, f"CIRC not possible: {error}") from error
-    return _plan_path(arm, MotionKind.CIRC, start, arc, goal, limits, tool)
+    return plan_path(arm, MotionKind.CIRC, start, OrientedPath.between(arc, tcp, goal), limits, tool)
 
 
-def _tcp(arm: ArmModel, axes: Axes, tool: Frame) -> Pose:
+def tcp_pose(arm: ArmModel, axes: Axes, tool: Frame) -> Pose:
+    """Return the tool centre point in the root frame."""
     flange = arm.forward_pose(axes)
     return flange if tool == NULL_TOOL else flange_of(flange, pose_of_frame(tool))
 
 
-def _plan_path(
-    arm: ArmModel, kind: MotionKind, start: Axes, path: Line | Arc, goal: Pose, limits: PathLimits, tool: Frame
+def plan_path(
+    arm: ArmModel, kind: MotionKind, start: Axes, path: PosePath, limits: PathLimits, tool: Frame
 ) -> Trajectory:
-    turning = Turning.between(quaternion_of(_tcp(arm, start, tool).rotation), quaternion_of(goal.rotation))
-    profile = _path_profile(path.length_mm, turning.angle_deg, limits)
+    """Return the move of the tool centre point along any path, checked along all of it.  Raises MotionError."""
+    profile = _path_profile(path.length_mm, path.angle_deg, limits)
     tool_inverse = pose_of_frame(tool.inverse())
 
     def flange_at(fraction: float) -> Pose:
-        return flange_of(Pose(path.at(fraction), rotation_of(turning.at(fraction))), tool_inverse)
+        return flange_of(path.at(fraction), tool_inverse)
 
     try:
         arm.inverse(flange_at(1.0), near=start)
     except ArmError as error:
         raise as_motion_error(error) from error
     tracker = _Tracker(arm, start)
-    samples: list[tuple[float, Axes]] = [(0.0, start)]
+    samples: list[Axes] = [start]
     ticks = profile.duration_s / INTERPOLATION_TICK_S
-    steps = max(1, round(min(ticks, max(path.length_mm / CHECK_EVERY_MM, turning.angle_deg / CHECK_EVERY_DEG))))
+    steps = max(1, round(min(ticks, max(path.length_mm / CHECK_EVERY_MM, path.angle_deg / CHECK_EVERY_DEG))))
     for step in range(1, steps + 1):
         time_s = profile.duration_s * step / steps
-        axes = tracker.follow(flange_at(profile.position(time_s)), time_s, last=step == steps)
-        samples.append((time_s, axes))
+        samples.append(tracker.follow(flange_at(profile.position(time_s)), time_s, last=step == steps))
 
     def axes_at(time_s: float) -> Axes:
         if time_s <= 0.0:
             return start
         if time_s >= profile.duration_s:
-            return samples[-1][1]
-        _, nearest = samples[round(time_s / profile.duration_s * steps)]
+            return samples[-1]
+        nearest = samples[round(time_s / profile.duration_s * steps)]
         return arm.inverse(flange_at(profile.position(time_s)), near=nearest)
 
-    return Trajectory(arm, kind, start, samples[-1][1], profile.duration_s, axes_at)
+    marks_s = tuple(profile.time_at(fraction) for fraction in path.marks)
+    return Trajectory(arm, kind, start, samples[-1], profile.duration_s, axes_at, profile.ramp_s, tool, marks_s)
 
 
 def _path_profile(length_mm: float, angle_deg: float, limits: PathLimits) -> Trapezoid:

@@ -2,10 +2,23 @@
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 from slabcell_drivers.robot.arm_solve import Pose
 
-__all__ = ["Arc", "Line", "Quaternion", "Turning", "Vector", "flange_of", "quaternion_of", "rotation_of"]
+__all__ = [
+    "Arc",
+    "Line",
+    "OrientedPath",
+    "PointPath",
+    "PosePath",
+    "Quaternion",
+    "Turning",
+    "Vector",
+    "flange_of",
+    "quaternion_of",
+    "rotation_of",
+]
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -134,6 +147,70 @@ class Arc:
             self.centre[1] + cosine * self.first[1] + sine * self.second[1],
             self.centre[2] + cosine * self.first[2] + sine * self.second[2],
         )
+
+
+class PosePath(Protocol):
+    """A way of the tool centre point, position and orientation."""
+
+    @property
+    def length_mm(self) -> float:
+        """Length of the way."""
+        ...
+
+    @property
+    def angle_deg(self) -> float:
+        """How far the orientation turns altogether."""
+        ...
+
+    @property
+    def marks(self) -> tuple[float, ...]:
+        """At which fractions the points between start and end lie."""
+        ...
+
+    def at(self, fraction: float) -> Pose:
+        """Return the pose at this fraction of the way."""
+        ...
+
+
+class PointPath(Protocol):
+    """A way of a point."""
+
+    @property
+    def length_mm(self) -> float:
+        """Length of the way."""
+        ...
+
+    def at(self, fraction: float) -> Vector:
+        """Return the point at this fraction of the length."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class OrientedPath:
+    """A way of a point on which the orientation turns evenly."""
+
+    path: PointPath
+    turning: Turning
+    marks: tuple[float, ...] = ()
+
+    @classmethod
+    def between(cls, path: PointPath, start: Pose, end: Pose) -> "OrientedPath":
+        """Return the way with the orientations of its two ends."""
+        return cls(path, Turning.between(quaternion_of(start.rotation), quaternion_of(end.rotation)))
+
+    @property
+    def length_mm(self) -> float:
+        """Length of the way."""
+        return self.path.length_mm
+
+    @property
+    def angle_deg(self) -> float:
+        """How far the orientation turns."""
+        return self.turning.angle_deg
+
+    def at(self, fraction: float) -> Pose:
+        """Return the pose at this fraction of the way."""
+        return Pose(self.path.at(fraction), rotation_of(self.turning.at(fraction)))
 
 
 def flange_of(tcp: Pose, tool_inverse: Pose) -> Pose:
