@@ -48,6 +48,8 @@ class CycleRecord:
     refused: tuple[Refusal, ...] = ()
     offers: tuple[OfferRecord, ...] = ()
     placements: tuple[PlacementRecord, ...] = ()
+    free_slots: tuple[int, ...] = ()
+    transcript: list[dict[str, object]] = field(default_factory=list[dict[str, object]])
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,4 +158,4 @@ Event = (
 )
 
 Subscriber = Callable[[Event], None]
-"""Takes one event, in the event loop.  It must return at once; what it raises is logged and goes no further."""
+"""Takes one event, in the event loop.  It must return at once; one that raises is logged and dropped."""

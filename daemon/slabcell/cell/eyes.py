@@ -13,30 +13,45 @@ from slabcell.calibration.model import Calibration
 from slabcell.cell.records import PlacementRecord
 from slabcell.geometry import Polygon, RigidTransform2D
 from slabcell.recipe import Recipe
+from slabcell.vision import Locator
+from slabcell.vision.placement import measure_slots
 from slabcell.vision.result import LocateResult
 
-__all__ = ["Eyes", "Picture"]
+__all__ = ["Eyes", "HouseEyes", "Picture"]
 
 Picture = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 
 
 class Eyes(Protocol):
-    """Finds parts, and measures laid ones."""
+    """Finds parts, and measures laid ones, of one product with one camera."""
 
-    def locate(
-        self, image: Picture, calibration: Calibration, recipe: Recipe, *, area_mm: Polygon, free_slots: Collection[int]
-    ) -> LocateResult:
+    def locate(self, image: Picture, *, area_mm: Polygon, free_slots: Collection[int]) -> LocateResult:
         """Return what lies in an area of the table and fits the free slots."""
         ...
 
     def measure(
-        self,
-        image: Picture,
-        calibration: Calibration,
-        recipe: Recipe,
-        *,
-        assembly_in_table: RigidTransform2D,
-        slots: Collection[int],
+        self, image: Picture, *, assembly_in_table: RigidTransform2D, slots: Collection[int]
     ) -> tuple[PlacementRecord, ...]:
         """Return how the slabs lie in these slots, in the order of the slots."""
         ...
+
+
+class HouseEyes:
+    """The vision of slabcell.  What does not change from picture to picture is computed once."""
+
+    def __init__(self, calibration: Calibration, recipe: Recipe) -> None:
+        self._locator = Locator(calibration, recipe)
+
+    def locate(self, image: Picture, *, area_mm: Polygon, free_slots: Collection[int]) -> LocateResult:
+        """Return what lies in an area of the table and fits the free slots."""
+        return self._locator.locate(image, area_mm=area_mm, free_slots=free_slots)
+
+    def measure(
+        self, image: Picture, *, assembly_in_table: RigidTransform2D, slots: Collection[int]
+    ) -> tuple[PlacementRecord, ...]:
+        """Return how the slabs lie in these slots, in the order of the slots."""
+        placements = measure_slots(self._locator, image, assembly_in_table=assembly_in_table, slots=slots)
+        return tuple(
+            PlacementRecord(item.slot, item.found, item.dx_mm, item.dy_mm, item.da_deg, item.residual_mm)
+            for item in placements
+        )

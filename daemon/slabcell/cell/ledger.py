@@ -101,16 +101,14 @@ class LedgerFile:
         """One durable step: all of it, or nothing."""
         try:
             self._db.execute("BEGIN IMMEDIATE")
-            try:
-                yield
-            except BaseException:
-                self._db.execute("ROLLBACK")
-                raise
+            yield
             self._db.execute("COMMIT")
-        except sqlite3.Error as error:
-            if self._db.in_transaction:  # a COMMIT that failed leaves the transaction open
+        except BaseException as error:
+            if self._db.in_transaction:  # SQLite itself rolls back after some errors (full disk, I/O), not after all
                 self._db.execute("ROLLBACK")
-            raise _named(self.path, error) from error
+            if isinstance(error, sqlite3.Error):
+                raise _named(self.path, error) from error
+            raise
 
     def _rows(self, query: str, *values: object) -> list[tuple[object, ...]]:
         try:
@@ -270,6 +268,10 @@ class LedgerFile:
         except sqlite3.Error as error:
             raise _named(self.path, error) from error
 
+    def excerpt(self, job_id: int) -> dict[str, list[dict[str, object]]]:
+        """Return the rows of every table that belong to a job."""
+        return {table: self.rows(table, job_id) for table in _TABLES if table != "sessions"}
+
 
 _TABLES = ("jobs", "cycles", "offers", "acknowledgements", "placements", "sessions")
 
@@ -321,6 +323,7 @@ class Ledger:
     def __init__(self, file: LedgerFile, executor: ThreadPoolExecutor) -> None:
         self._file = file
         self._executor = executor
+        self._closed = False
 
     @classmethod
     async def open(cls, path: Path) -> Ledger:
@@ -335,12 +338,15 @@ class Ledger:
 
     async def run(self, work: Callable[[LedgerFile], _T]) -> _T:
         """Return what ``work`` returns in the ledger's thread.  A cancelled caller does not undo the work."""
+        if self._closed:
+            msg = f"{self._file.path}: is closed"
+            raise LedgerError(msg, number=Fault.LEDGER_UNWRITABLE)
         return await asyncio.get_running_loop().run_in_executor(self._executor, work, self._file)
 
     async def close(self) -> None:
         """Close the file and end the thread; may be called twice."""
-        try:
-            await asyncio.get_running_loop().run_in_executor(self._executor, self._file.close)
-        except RuntimeError:  # the executor has been shut down already
+        if self._closed:
             return
+        self._closed = True
+        await asyncio.get_running_loop().run_in_executor(self._executor, self._file.close)
         self._executor.shutdown(wait=True)

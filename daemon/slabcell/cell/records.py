@@ -103,7 +103,7 @@ class OfferRecord:
 
 @dataclass(frozen=True, slots=True)
 class PlacementRecord:
-    """How a slab lies in its slot: placed minus nominal, in the assembly frame."""
+    """How a slab lies in its slot: placed minus nominal, in the assembly frame; NaN where it could not be measured."""
 
     slot: int
     found: bool

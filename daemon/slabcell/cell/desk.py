@@ -1,0 +1,183 @@
+"""What does the cell know of the present job?  The job, its results in the ledger, and every change to them told on.
+
+Each change is in the ledger when the call returns.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from slabcell.cell.events import Event, JobBegan, JobEnded, ResultMoved, Verified
+from slabcell.cell.greeting import Settlement, settle
+from slabcell.cell.ledger import Ledger, LedgerFile
+from slabcell.cell.records import (
+    HAND_STATES,
+    TAKEN_STATES,
+    Job,
+    JobState,
+    OfferRecord,
+    OfferState,
+    Pair,
+    PlacementRecord,
+)
+from slabcell.recipe import Recipe
+from slabcell_drivers.robot.protocol import Request
+
+__all__ = ["JobDesk", "Slots"]
+
+_O = OfferState
+_OPEN_STATES = frozenset({_O.PLANNED, _O.OFFERED, _O.ACCEPTED, _O.GRASPED})
+
+
+@dataclass(frozen=True, slots=True)
+class Slots:
+    """What is known of the slots of a job.  A slot that is none of these waits for a person to say what is in it."""
+
+    laid: tuple[int, ...]
+    free: tuple[int, ...]
+    given_up: tuple[int, ...]
+
+
+class JobDesk:
+    """The job and its ledger.  Every method may raise LedgerError."""
+
+    def __init__(self, ledger: Ledger, recipe: Recipe, emit: Callable[[Event], None]) -> None:
+        self.job: Job | None = None
+        self._ledger = ledger
+        self._recipe = recipe
+        self._emit = emit
+
+    async def take_up(self) -> str | None:
+        """Take up the job that was open when the cell stopped.
+
+        Returns what was abandoned, in words, if it belongs to another template.
+        """
+        job = await self._ledger.run(LedgerFile.last_job)
+        if job is None or job.state is not JobState.OPEN:
+            return None
+        if job.template_sha256 == self._recipe.template.sha256:
+            self.job = job
+            return None
+        await self._abandon(job, "another recipe")
+        return f"job {job.job_id} of recipe {job.recipe} was open; the recipe now is {self._recipe.name}"
+
+    async def job_for(self, request: Request) -> Job:
+        """Return the job that a trigger is for: the open one, the one just finished, or a new one."""
+        job = self.job
+        if job is not None and request.job_id not in {0, job.robot_job}:
+            if job.state is JobState.OPEN:
+                await self._abandon(job, f"the robot began job {request.job_id}")
+            job = None
+        if job is None:
+            recipe = self._recipe
+            job = await self._ledger.run(
+                lambda book: book.begin_job(
+                    request.job_id, recipe.name, recipe.template.sha256, len(recipe.template.slots)
+                )
+            )
+            self._emit(JobBegan(job))
+        self.job = job
+        return job
+
+    async def greet(self, request: Request) -> tuple[int, Settlement]:
+        """Begin a session and settle what was under way; return its number and what came out."""
+        job_id = self.job.job_id if self.job is not None else None
+
+        def work(book: LedgerFile) -> tuple[int, Settlement]:
+            session = book.new_session(f"HELLO {request.sequence}")
+            return session, settle(book, job_id, request, session)
+
+        session, outcome = await self._ledger.run(work)
+        for offer in outcome.moved:
+            self._emit(ResultMoved(offer))
+        if self.job is not None and self.job.state is not JobState.OPEN:
+            self.job = None  # a new run of the program fills a new template
+        return session, outcome
+
+    async def offers(self) -> list[OfferRecord]:
+        """Return every result of the job."""
+        if self.job is None:
+            return []
+        job_id = self.job.job_id
+        return await self._ledger.run(lambda book: book.offers(job_id))
+
+    async def open_offers(self) -> list[OfferRecord]:
+        """Return the results that are still to be fetched or finished."""
+        return [offer for offer in await self.offers() if offer.state in _OPEN_STATES]
+
+    async def slots(self, attempts: int) -> Slots:
+        """Return which slots of the job are laid, free, or given up after so many failed attempts."""
+        offers = await self.offers()
+        failures = Counter(offer.slot for offer in offers if offer.state is _O.FAILED)
+        taken = {offer.slot for offer in offers if offer.state in TAKEN_STATES}
+        every = range(self.job.slots if self.job is not None else 0)
+        return Slots(
+            laid=tuple(sorted(offer.slot for offer in offers if offer.state is _O.PLACED)),
+            free=tuple(slot for slot in every if slot not in taken and failures[slot] < attempts),
+            given_up=tuple(slot for slot in every if slot not in taken and failures[slot] >= attempts),
+        )
+
+    async def find(self, result_id: int) -> OfferRecord | None:
+        """Return a result of the job, or None."""
+        offer = await self._ledger.run(lambda book: book.offer(result_id))
+        return offer if offer is not None and self.job is not None and offer.job_id == self.job.job_id else None
+
+    async def write_cycle(self, request: Request, pairs: Sequence[Pair]) -> list[OfferRecord]:
+        """Write the results of a trigger."""
+        job = await self.job_for(request)
+        return await self._ledger.run(
+            lambda book: book.record_cycle(job.job_id, request.session, request.sequence, pairs)
+        )
+
+    async def move(self, offer: OfferRecord, state: OfferState, request: Request, reason: str) -> OfferRecord:
+        """Write a result's new state."""
+        moved = await self._ledger.run(
+            lambda book: book.move(
+                offer.result_id, state, session=request.session, sequence=request.sequence, reason=reason
+            )
+        )
+        self._emit(ResultMoved(moved))
+        return moved
+
+    async def void(self, reason: str, *, session: int = 0) -> None:
+        """Take back what the robot has not begun with."""
+        if self.job is None:
+            return
+        job_id = self.job.job_id
+
+        def work(book: LedgerFile) -> list[OfferRecord]:
+            taken_back = set(book.void(job_id, session=session, reason=reason))
+            return [offer for offer in book.offers(job_id) if offer.result_id in taken_back]
+
+        for offer in await self._ledger.run(work):
+            self._emit(ResultMoved(offer))
+
+    async def complete(self, placements: tuple[PlacementRecord, ...]) -> Job | None:
+        """Close the job with what was measured of it."""
+        job = self.job
+        if job is None:
+            return None
+
+        def work(book: LedgerFile) -> None:
+            book.record_placements(job.job_id, placements)
+            book.end_job(job.job_id, JobState.COMPLETE)
+
+        await self._ledger.run(work)
+        self.job = replace(job, state=JobState.COMPLETE)
+        self._emit(Verified(self.job, placements, final=True))
+        self._emit(JobEnded(self.job))
+        return self.job
+
+    async def _abandon(self, job: Job, reason: str) -> None:
+        def work(book: LedgerFile) -> None:
+            book.void(job.job_id, reason=reason)
+            for offer in book.offers(job.job_id):
+                if offer.state in HAND_STATES:
+                    book.move(offer.result_id, _O.UNKNOWN, reason=reason)
+            book.end_job(job.job_id, JobState.ABANDONED)
+
+        await self._ledger.run(work)
+        self.job = None
+        self._emit(JobEnded(replace(job, state=JobState.ABANDONED)))

@@ -1,0 +1,158 @@
+"""How does the cell come from a trigger to what can be laid?  Takes the picture, asks the vision, plans; with times.
+
+Everything that can go wrong on the way is a `LookError` with the number of the error catalogue.
+"""
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable, Collection, Generator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import TypeVar
+
+from slabcell.calibration.model import Calibration
+from slabcell.catalogue import Fault
+from slabcell.cell.events import CycleRecord, Event, FrameTaken, PartsLocated, StageEnded
+from slabcell.cell.executor import end_executor
+from slabcell.cell.eyes import Eyes
+from slabcell.cell.planning import Plan, plan
+from slabcell.cell.records import PlacementRecord
+from slabcell.cell.settings import CellSettings
+from slabcell.errors import CalibrationError, ImageError, SlabcellError
+from slabcell_drivers.camera.protocol import (
+    Camera,
+    CameraBusy,
+    CameraConfigError,
+    CameraError,
+    CameraIncomplete,
+    CameraLost,
+    CameraTimeout,
+    ImageFrame,
+)
+from slabcell_drivers.robot.arm import ArmModel
+
+__all__ = ["CAMERA_FAULTS", "LookError", "Looking"]
+
+_T = TypeVar("_T")
+
+_CAMERA_FAULTS: tuple[tuple[type[CameraError], Fault], ...] = (
+    (CameraLost, Fault.CAMERA_LOST),
+    (CameraTimeout, Fault.CAMERA_TIMEOUT),
+    (CameraIncomplete, Fault.CAMERA_INCOMPLETE),
+    (CameraBusy, Fault.CAMERA_BUSY),
+    (CameraConfigError, Fault.CAMERA_SETTING),
+    (CameraError, Fault.CAMERA_ERROR),
+)
+CAMERA_FAULTS = (*(fault for _, fault in _CAMERA_FAULTS), Fault.CAMERA_STALE)
+"""The alarms that a good picture clears."""
+
+
+class LookError(SlabcellError):
+    """No result for this trigger; ``fault`` says why."""
+
+    def __init__(self, fault: Fault, detail: str) -> None:
+        super().__init__(detail, number=fault)
+        self.fault = fault
+
+
+class Looking:
+    """The camera, the vision and the planning of one cell, with one worker thread for what computes."""
+
+    def __init__(
+        self,
+        camera: Camera,
+        calibration: Calibration,
+        *,
+        eyes: Eyes,
+        arm: ArmModel,
+        thickness_mm: float,
+        settings: CellSettings,
+        emit: Callable[[Event], None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._camera = camera
+        self._calibration = calibration
+        self._thickness_mm = thickness_mm
+        self._eyes = eyes
+        self._arm = arm
+        self._settings = settings
+        self._emit = emit
+        self._clock = clock
+        self._worker = ThreadPoolExecutor(1, thread_name_prefix="slabcell-vision")
+
+    async def close(self) -> None:
+        """End the worker thread; waits for what it computes.  May be called twice."""
+        await end_executor(self._worker)
+
+    async def acquire(self, cycle: CycleRecord) -> ImageFrame:
+        """Return a complete picture that was exposed after this call began.  Raises `LookError`."""
+        asked_s = self._clock()
+        with self._stage(cycle, "acquire"):
+            try:
+                frame = await self._camera.snap(self._settings.camera_timeout_s)
+            except CameraError as error:
+                fault = next(fault for kind, fault in _CAMERA_FAULTS if isinstance(error, kind))
+                raise LookError(fault, str(error)) from error
+        if frame.triggered_s < asked_s:
+            late_ms = (asked_s - frame.triggered_s) * 1000
+            detail = f"frame {frame.frame_id} was triggered {late_ms:.1f} ms before it was asked for"
+            raise LookError(Fault.CAMERA_STALE, detail)
+        height, width = frame.pixels.shape[:2]
+        try:
+            self._calibration.require_size(width, height, f"frame {frame.frame_id}")
+        except CalibrationError as error:
+            raise LookError(Fault.CALIBRATION_MISMATCH, str(error)) from error
+        cycle.frame = frame
+        self._emit(FrameTaken(frame))
+        return frame
+
+    async def locate(self, frame: ImageFrame, free_slots: Collection[int], cycle: CycleRecord) -> Plan:
+        """Return what can be laid into the free slots; the cycle gets the vision's result.  Raises `LookError`."""
+        result = await self._compute(
+            lambda: self._eyes.locate(frame.pixels, area_mm=self._settings.pick_area, free_slots=free_slots)
+        )
+        cycle.result = result
+        for stage, duration_ms in result.timing_ms.items():
+            if stage != "total":
+                cycle.times_ms[stage] = duration_ms
+                self._emit(StageEnded(stage, duration_ms))
+        self._emit(PartsLocated(result))
+        with self._stage(cycle, "plan"):
+            outcome = await self._compute(lambda: plan(result.parts, self._thickness_mm, self._settings, self._arm))
+        cycle.refused = outcome.refused
+        return outcome
+
+    async def measure(
+        self, frame: ImageFrame, slots: Collection[int], cycle: CycleRecord
+    ) -> tuple[PlacementRecord, ...]:
+        """Return how the slabs lie in these slots.  Raises `LookError`."""
+        with self._stage(cycle, "measure"):
+            cycle.placements = await self._compute(
+                lambda: self._eyes.measure(
+                    frame.pixels, assembly_in_table=self._settings.assembly_in_table, slots=slots
+                )
+            )
+        return cycle.placements
+
+    async def _compute(self, work: Callable[[], _T]) -> _T:
+        """Run in the worker thread, to the deadline.  A thread cannot be stopped: what comes too late is dropped."""
+        timeout_s = self._settings.vision_timeout_s
+        running: Awaitable[_T] = asyncio.get_running_loop().run_in_executor(self._worker, work)
+        try:
+            return await asyncio.wait_for(running, timeout_s)
+        except TimeoutError as error:
+            raise LookError(Fault.VISION_SLOW, f"not ready after {timeout_s} s") from error
+        except ImageError as error:
+            raise LookError(Fault.IMAGE_UNUSABLE, str(error)) from error
+        except CalibrationError as error:
+            raise LookError(Fault.CALIBRATION_MISSING, str(error)) from error
+        except Exception as error:  # a picture that breaks the vision must not stop the cell; it has its own number
+            raise LookError(Fault.VISION_ERROR, f"{type(error).__name__}: {error}") from error
+
+    @contextmanager
+    def _stage(self, cycle: CycleRecord, name: str) -> Generator[None]:
+        began_s = self._clock()
+        yield
+        duration_ms = (self._clock() - began_s) * 1000
+        cycle.times_ms[name] = duration_ms
+        self._emit(StageEnded(name, duration_ms))

@@ -1,0 +1,188 @@
+"""Which pages are drawn from the code?  Writes them; with ``--check`` says which of them are not what the code says.
+
+python docs/generate.py [--check]
+"""
+
+import argparse
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+from slabcell.catalogue import Clears, Entry, catalogue
+from slabcell.cell.reconcile import Decision, reconcile
+from slabcell.cell.records import STEPS, OfferState
+from slabcell.cell.states import TABLE, CellState, HeldCause, SuspendedCause
+from slabcell_drivers.robot.protocol import AckState
+
+DOCS = Path(__file__).parent
+BEGIN, END = "<!-- generated: states, by docs/generate.py -->", "<!-- end of the generated part -->"
+NOTE = "<!-- Drawn from the code by docs/generate.py: change the code, then run it. -->\n\n"
+
+
+def pages() -> dict[Path, str]:
+    """Return every generated page by its path."""
+    architecture = DOCS / "explanation" / "architecture.md"
+    return {
+        DOCS / "reference" / "states.md": states_page(),
+        DOCS / "reference" / "errors.md": errors_page(catalogue().values()),
+        DOCS / "reference" / "exactly-once.md": exactly_once_page(),
+        architecture: _between_marks(architecture.read_text(encoding="utf-8"), state_diagram()),
+    }
+
+
+def state_diagram() -> str:
+    """Return the table of states as a Mermaid diagram."""
+    inner = [state for state in CellState if "." in state]
+    lines = ["```mermaid", "stateDiagram-v2", f"    [*] --> {CellState.PREOPERATIONAL}"]
+    lines += [f"    state {CellState.SINGLE_EXECUTION} {{", f"        [*] --> {CellState.ACQUIRING.leaf}"]
+    both_inside: list[str] = []
+    outside: list[str] = []
+    for row in TABLE:
+        for source in row.sources:
+            line = f"{source.leaf} --> {row.destination.leaf}: {row.event}"
+            if source in inner and row.destination in inner:
+                both_inside.append(f"        {line}")
+            else:
+                outside.append(f"    {line}")
+    return "\n".join([*lines, *both_inside, "    }", *outside, "```"]) + "\n"
+
+
+def states_page() -> str:
+    """Return the page of states, events and conditions."""
+    rows = [f"| `{row.event}` | {_code(row.sources)} | `{row.destination}` | {row.meaning} |" for row in TABLE]
+    steps = [
+        f"| `{state}` | {_code(after for after in OfferState if after in allowed) or 'nothing: settled'} |"
+        for state, allowed in STEPS.items()
+    ]
+    return "\n".join(
+        [
+            "# States",
+            "",
+            NOTE.strip(),
+            "",
+            "The names are those of OPC 40100-1 (machine vision). An event that has no line here for the present",
+            "state is refused, and the refusal names what is possible. Every transition is logged with its cause.",
+            "Software is not a safety function: no state here replaces an emergency stop.",
+            "",
+            state_diagram(),
+            "| event | in | leads to | when |",
+            "| --- | --- | --- | --- |",
+            *rows,
+            "",
+            "## Conditions",
+            "",
+            "Beside the state stand two conditions, as PackML has them. They say why the cell does not get on; they",
+            "change no state.",
+            "",
+            f"- *held*, a cause of our own: {_code(HeldCause)}.",
+            f"- *suspended*, a cause outside of the cell: {_code(SuspendedCause)}.",
+            "",
+            "## A result in the ledger",
+            "",
+            "| from | to |",
+            "| --- | --- |",
+            *steps,
+            "",
+        ]
+    )
+
+
+def errors_page(entries: Iterable[Entry]) -> str:
+    """Return the page of the error catalogue."""
+    lines = [
+        "# Errors",
+        "",
+        NOTE.strip(),
+        "",
+        "Every error has a number. Code, robot display and this page read the same file, `config/errors.toml`.",
+        "",
+    ]
+    ends = {
+        Clears.ITSELF: "It goes by itself when the cause is gone.",
+        Clears.ACKNOWLEDGE: "It stands until a person acknowledges it.",
+        Clears.RESTART: "It stands until the cell is started again.",
+    }
+    category = ""
+    for item in entries:
+        if item.category != category:
+            category = item.category
+            lines += [f"## {category.capitalize()}", ""]
+        lines += [
+            f"### {item.number} {item.title}",
+            "",
+            f"{item.meaning}",
+            "",
+            f"**What to do.** {item.action} {ends[item.clears]}",
+            "",
+            f"Priority {item.priority}. The robot shows: `{item.robot}`",
+            "",
+        ]
+    return "\n".join(lines)
+
+
+def exactly_once_page() -> str:
+    """Return the page of what happens after a lost link, computed by asking the rules themselves."""
+    lines = [
+        "# After a lost link",
+        "",
+        NOTE.strip(),
+        "",
+        "A result is acted on at most once, and no slab gets lost without a record. Whatever the robot may act on is",
+        "in the ledger before the robot hears of it; every acknowledgement is in the ledger before it is answered;",
+        "result ids strictly increase over restarts of the cell. The robot writes its last result and how far it got",
+        "into its own memory before the physical act, and tells both, with what its gripper feels, when it greets the",
+        "cell again. This table says what the cell then does with a result that was under way.",
+        "",
+        "| ledger | robot | gripper | result becomes | then |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for ledger in (OfferState.OFFERED, OfferState.ACCEPTED, OfferState.GRASPED):
+        for robot in AckState:
+            for holds in (False, True):
+                decision = reconcile(ledger, robot, holds_part=holds)
+                said = "does not know it" if robot is AckState.NONE else robot.name.lower().replace("_", " ")
+                gripper = "part" if holds else "empty"
+                lines.append(f"| {ledger} | {said} | {gripper} | {decision.state} | {_then(decision)} |")
+    return "\n".join([*lines, ""])
+
+
+def _code(words: Iterable[str]) -> str:
+    return ", ".join(f"`{word}`" for word in words)
+
+
+def _then(decision: Decision) -> str:
+    if decision.resume:
+        return "the same place pose again, no new pick"
+    if decision.fault is not None:
+        return f"alarm {int(decision.fault)}: {decision.reason}"
+    return decision.reason
+
+
+def _between_marks(text: str, content: str) -> str:
+    head, _, rest = text.partition(BEGIN)
+    _, _, tail = rest.partition(END)
+    return f"{head}{BEGIN}\n\n{content}\n{END}{tail}"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Write the pages, or compare them; return the exit code."""
+    parser = argparse.ArgumentParser(description="write the pages that are drawn from the code")
+    parser.add_argument(
+        "--check", action="store_true", help="write nothing; exit 1 if a page is not what the code says"
+    )
+    check = parser.parse_args(arguments).check
+    stale = 0
+    for path, content in pages().items():
+        if path.exists() and path.read_text(encoding="utf-8") == content:
+            continue
+        stale += 1
+        if check:
+            sys.stderr.write(f"{path}: is not what the code says; run: python docs/generate.py\n")
+        else:
+            path.write_text(content, encoding="utf-8")
+            sys.stderr.write(f"wrote {path}\n")
+    return 1 if check and stale else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
