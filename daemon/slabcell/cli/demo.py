@@ -11,6 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Table
 
 from slabcell.hmi.report import render_report
+from slabcell.logs import log_to_file
 from slabcell.service.demo import DemoOptions, run_demo
 
 __all__ = ["demo_command"]
@@ -26,7 +27,7 @@ class _Display:
     def stage(self, name: str, total: int | None = None) -> None:
         """Begin a stage; ``total`` is what there is to count in it."""
         self._end()
-        self._task = self._progress.add_task(name, total=total)
+        self._task = self._progress.add_task(name, total=total, detail="")
 
     def advance(self, text: str) -> None:
         """Count one thing of the stage."""
@@ -75,6 +76,7 @@ def demo_command(
         TimeElapsedColumn(),
         TextColumn("{task.fields[detail]}", style="dim"),
     )
+    log_to_file(out / "slabcell.log")
     with Progress(*columns, console=console) as progress:
         display = _Display(progress)
         document = asyncio.run(run_demo(DemoOptions(scene, seed, out), display))
@@ -109,12 +111,12 @@ def _print(document: dict[str, Any], console: Console) -> None:
         else:
             slots.add_row(str(slot["slot"]), "not filled", "", "", "", style="bold red")
     console.print(slots)
-    times = Table("cycle", *document["stages"], title="Cycle times in milliseconds")
-    for column in times.columns:
+    times = Table("stage", *(f"cycle {cycle['cycle']}" for cycle in document["cycles"]), title="Time in milliseconds")
+    for column in times.columns[1:]:
         column.justify = "right"
-    for cycle in document["cycles"]:
-        cells = [f"{cycle['timing_ms'][key]:.1f}" if key in cycle["timing_ms"] else "" for key in document["stages"]]
-        times.add_row(str(cycle["cycle"]), *cells)
+    for stage in document["stages"]:
+        measured = [cycle["timing_ms"].get(stage) for cycle in document["cycles"]]
+        times.add_row(stage, *("" if ms is None else f"{ms:.1f}" for ms in measured))
     console.print(times)
     worst, limits = document["worst"], document["limits"]
     for failure in document["failures"]:

@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from slabcell.errors import ConfigurationError
+from slabcell.service.krl_config import KrlConfig
 from slabcell.toml_file import TomlTable, read_toml
 from slabcell_drivers.robot import Frame
 
@@ -63,6 +64,7 @@ class RobotConfig(TomlTable):
 
     model: Literal["kr3r540", "kr6r900"] = Field(default="kr3r540", description="which arm")
     eki: EkiConfig = EkiConfig()
+    krl: KrlConfig = KrlConfig()
     tool: FrameConfig = Field(description="TOOL_DATA of the suction cup: flange to cup")
     pick_base: FrameConfig = Field(description="BASE_DATA of the table, in the robot's root frame")
     place_base: FrameConfig = Field(description="BASE_DATA of the assembly, in the robot's root frame")

@@ -33,6 +33,7 @@ from slabcell.recipe import Recipe, load_recipe
 from slabcell.service.config import CellConfig, load_config
 from slabcell.service.simulated import SimulatedCell, calibrate_from_boards
 from slabcell.vision.overlay import draw_overlay
+from slabcell_drivers.camera import ImageFrame
 from slabcell_drivers.krc import RunResult
 from slabcell_drivers.robot.arm import ArmModel, arm_by_name
 from slabcell_drivers.robot.eki.link import EkiServer
@@ -137,6 +138,9 @@ class _Run:
         self._simulated = simulated
         self._calibration = calibration
         self._progress = progress
+        self._frame: ImageFrame | None = None
+        self.seen: npt.NDArray[np.uint8] | None = None
+        """The first picture with what the vision found in it."""
         self.cycles: list[events.CycleRecord] = []
         self.scores: dict[int, float] = {}
         self.result: RunResult | None = None
@@ -194,6 +198,10 @@ class _Run:
             case events.ResultMoved(offer) if offer.state is OfferState.PLACED:
                 self.scores[offer.slot] = offer.score
                 self._progress.advance(f"slot {offer.slot} filled")
+            case events.FrameTaken(frame):
+                self._frame = frame
+            case events.PartsLocated(result) if self.seen is None and self._frame is not None:
+                self.seen = draw_overlay(self._frame.pixels, result)
             case events.CycleEnded(cycle):
                 self.cycles.append(cycle)
             case _:
@@ -242,7 +250,7 @@ def _document(options: DemoOptions, parts: _Parts, placements: tuple[Placement, 
     filled = [placement for placement in placements if placement.filled]
     stages: dict[str, None] = {}
     for cycle in run.cycles:
-        stages.update(dict.fromkeys(cycle.times_ms))
+        stages.update(dict.fromkeys(stage for stage in cycle.times_ms if stage != "total"))
     return {
         "schema": "slabcell.demo/1",
         "version": __version__,
@@ -266,7 +274,7 @@ def _document(options: DemoOptions, parts: _Parts, placements: tuple[Placement, 
             }
             for p in placements
         ],
-        "stages": list(stages),
+        "stages": [*stages, "total"],
         "cycles": [
             {"cycle": number, "timing_ms": {stage: round(ms, 3) for stage, ms in cycle.times_ms.items()}}
             for number, cycle in enumerate(run.cycles, start=1)
@@ -298,9 +306,8 @@ def _write_files(
 ) -> dict[str, str]:
     """Write the pictures and the document; return the paths by what they are."""
     pictures = {"before": before, "after": after}
-    located = next((cycle for cycle in run.cycles if cycle.frame is not None and cycle.result is not None), None)
-    if located is not None and located.frame is not None and located.result is not None:
-        pictures["overlay"] = draw_overlay(located.frame.pixels, located.result)
+    if run.seen is not None:
+        pictures["overlay"] = run.seen
     paths = {"folder": str(out), "bundles": str(out / "bundles"), "calibration": str(out / "calibration.json")}
     for name, picture in pictures.items():
         path = out / f"{name}.png"
