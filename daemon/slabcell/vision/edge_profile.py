@@ -49,6 +49,10 @@ class EdgeLines:
     def __len__(self) -> int:
         return len(self.middle)
 
+    def select(self, which: npt.NDArray[np.intp]) -> "EdgeLines":
+        """Return only these pieces."""
+        return EdgeLines(self.middle[which], self.outward[which], self.half[which], self.bend[which], self.wall[which])
+
 
 @dataclass(frozen=True, slots=True)
 class ProfileModel:

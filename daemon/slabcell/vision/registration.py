@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from slabcell.geometry import Points, Polygon, RigidTransform2D, normalize_deg
-from slabcell.vision.edge_profile import EdgeLines, EdgeShifts, ProfileModel, measure_edges
+from slabcell.geometry import Polygon, RigidTransform2D, normalize_deg
+from slabcell.vision.edge_profile import EdgeShifts, ProfileModel, measure_edges
+from slabcell.vision.edge_projection import Poses, project_edges
 from slabcell.vision.edges import EdgePieces
 from slabcell.vision.matching import Candidate
 from slabcell.vision.pixels import Grey
@@ -59,16 +60,6 @@ class Registration:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Poses:
-    """Current state of all candidates; arrays over candidates.  ``pivot`` is the slot's middle, assembly frame."""
-
-    rotation: Floats
-    position: Points
-    pivot: Points
-    kerf: Floats
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class _System:
     """Measured pieces of all candidates on the table: distances in mm along the outward normal."""
 
@@ -92,7 +83,7 @@ def register(
         return []
     motions = [candidate.motion for candidate in candidates]
     pivots = np.array([slots[candidate.slot].centroid for candidate in candidates])
-    poses = _Poses(
+    poses = Poses(
         np.deg2rad([motion.rotation_deg for motion in motions]),
         np.array([motion.apply(pivot) for motion, pivot in zip(motions, pivots, strict=True)]),
         pivots,
@@ -112,58 +103,22 @@ def register(
 
 
 def _measure(
-    grey: Grey, plane: PlaneView, chosen: Sequence[EdgePieces], poses: _Poses, model: ProfileModel
+    grey: Grey, plane: PlaneView, chosen: Sequence[EdgePieces], poses: Poses, model: ProfileModel
 ) -> tuple[_System, EdgeShifts]:
-    owner = np.repeat(np.arange(len(chosen)), [len(item) for item in chosen])
-    middle = np.concatenate([item.middle for item in chosen])
-    tangent = np.concatenate([item.tangent for item in chosen])
-    half = np.concatenate([item.half_mm for item in chosen])
-    bend = np.concatenate([item.bend for item in chosen])
-    cos, sin = np.cos(poses.rotation[owner]), np.sin(poses.rotation[owner])
-    arm = _turn(middle - poses.pivot[owner], cos, sin)
-    along = _turn(tangent, cos, sin)
-    outward = np.column_stack([along[:, 1], -along[:, 0]])
-    # The outline that is expected is the drawn one, moved out by the kerf found so far.
-    on_table = poses.position[owner] + arm + poses.kerf[owner][:, None] * outward
-    step = plane.mm_per_px
-    ends = bend[:, None] * (half**2)[:, None] * outward
-    probes = np.concatenate(
-        [
-            on_table,
-            on_table - half[:, None] * along + ends,
-            on_table + half[:, None] * along + ends,
-            on_table + step * outward,
-        ]
-    )
-    centre, start, stop, beside = plane.to_pixels(probes).reshape(4, -1, 2)
-    foot = plane.calibration.image_from_table(on_table, 0.0) if plane.height_mm else centre
-    chord = stop - start
-    length = np.hypot(chord[:, 0], chord[:, 1])
-    line = chord / length[:, None]
-    # In a picture v points down: which side is outside follows from the handedness of the mapping.
-    normal = np.column_stack([line[:, 1], -line[:, 0]]) * (-1.0 if plane.mirrored else 1.0)
-    sag = np.sum(normal * (0.5 * (start + stop) - centre), axis=1)
-    wall = np.maximum(np.sum(normal * (foot - centre), axis=1), 0.0)
-    lines = EdgeLines(centre, normal, 0.5 * length, sag / (0.25 * length**2), wall)
-    shifts = measure_edges(grey, lines, model)
-    px_per_mm = np.sum(normal * (beside - centre), axis=1) / step
-    rows = np.column_stack([outward, outward[:, 1] * arm[:, 0] - outward[:, 0] * arm[:, 1], np.ones(len(arm))])
+    edges = project_edges(plane, chosen, poses)
+    shifts = measure_edges(grey, edges.lines, model)
     system = _System(
-        owner,
-        rows,
-        shifts.shift / px_per_mm,
-        np.hypot(shifts.sigma, FLOOR_PX) / px_per_mm,
+        edges.owner,
+        edges.rows,
+        shifts.shift / edges.px_per_mm,
+        np.hypot(shifts.sigma, FLOOR_PX) / edges.px_per_mm,
         shifts.valid,
-        half / np.maximum(np.bincount(owner, half)[owner], 1e-9),
+        edges.share,
     )
     return system, shifts
 
 
-def _turn(points: Points, cos: Floats, sin: Floats) -> Points:
-    return np.column_stack([cos * points[:, 0] - sin * points[:, 1], sin * points[:, 0] + cos * points[:, 1]])
-
-
-def _solve(system: _System, poses: _Poses, scale: float) -> tuple[_Poses, Floats, Floats]:
+def _solve(system: _System, poses: Poses, scale: float) -> tuple[Poses, Floats, Floats]:
     """Return the improved poses, the covariances (n, 4, 4) and the distances that remain (pieces,)."""
     count = len(poses.rotation)
     reach = np.hypot(*(system.rows[:, 2], np.ones(len(system.rows)))).max(initial=1.0)
@@ -192,7 +147,7 @@ def _solve(system: _System, poses: _Poses, scale: float) -> tuple[_Poses, Floats
     covariance: Floats = np.linalg.inv(normal).astype(np.float64, copy=False)
     covariance = covariance * np.maximum(chi, 1.0)[:, None, None] * (unscale[:, None] * unscale)
     change = unknown * unscale
-    improved = _Poses(
+    improved = Poses(
         poses.rotation + change[:, 2], poses.position + change[:, :2], poses.pivot, poses.kerf + change[:, 3]
     )
     return improved, covariance, remaining
@@ -227,7 +182,7 @@ def _wall_ratio(shifts: EdgeShifts, system: _System) -> float:
 
 def _results(
     candidates: Sequence[Candidate],
-    poses: _Poses,
+    poses: Poses,
     system: _System,
     covariance: Floats,
     remaining: Floats,
