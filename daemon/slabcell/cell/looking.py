@@ -12,6 +12,7 @@ from typing import TypeVar
 
 from slabcell.calibration.model import Calibration
 from slabcell.catalogue import Fault
+from slabcell.cell.desk import Slots
 from slabcell.cell.events import CycleRecord, Event, FrameTaken, PartsLocated, StageEnded
 from slabcell.cell.executor import end_executor
 from slabcell.cell.eyes import Eyes
@@ -106,10 +107,10 @@ class Looking:
         self._emit(FrameTaken(frame))
         return frame
 
-    async def locate(self, frame: ImageFrame, free_slots: Collection[int], cycle: CycleRecord) -> Plan:
+    async def locate(self, frame: ImageFrame, slots: Slots, cycle: CycleRecord) -> Plan:
         """Return what can be laid into the free slots; the cycle gets the vision's result.  Raises `LookError`."""
         result = await self._compute(
-            lambda: self._eyes.locate(frame.pixels, area_mm=self._settings.pick_area, free_slots=free_slots)
+            lambda: self._eyes.locate(frame.pixels, area_mm=self._settings.pick_area, free_slots=slots.free)
         )
         cycle.result = result
         for stage, duration_ms in result.timing_ms.items():

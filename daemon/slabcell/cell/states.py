@@ -16,7 +16,17 @@ from transitions.extensions.asyncio import HierarchicalAsyncMachine, NestedAsync
 
 from slabcell.errors import SlabcellError
 
-__all__ = ["TABLE", "CellEvent", "CellState", "EventRefusedError", "HeldCause", "Row", "StateMachine", "SuspendedCause"]
+__all__ = [
+    "TABLE",
+    "CellEvent",
+    "CellState",
+    "Conditions",
+    "EventRefusedError",
+    "HeldCause",
+    "Row",
+    "StateMachine",
+    "SuspendedCause",
+]
 
 
 class CellState(StrEnum):
@@ -75,6 +85,14 @@ class SuspendedCause(StrEnum):
 
     ROBOT_ABSENT = "robot_absent"
     NOTHING_ON_TABLE = "nothing_on_table"
+
+
+@dataclass(slots=True)
+class Conditions:
+    """What stands beside the state."""
+
+    held: HeldCause | None = None
+    suspended: SuspendedCause | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,155 @@
+"""What happens between a trigger and its answer?  Picture, vision, plan and ledger; or the verification."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import structlog
+
+from slabcell.catalogue import Fault, entry
+from slabcell.cell.alarms import Alarms
+from slabcell.cell.cycles import Cycles
+from slabcell.cell.desk import JobDesk
+from slabcell.cell.events import CycleRecord, Event, Verified
+from slabcell.cell.looking import CAMERA_FAULTS, LookError, Looking
+from slabcell.cell.records import Job, PlacementRecord
+from slabcell.cell.reply import Reply
+from slabcell.cell.settings import CellSettings
+from slabcell.cell.states import CellEvent, Conditions, HeldCause, StateMachine, SuspendedCause
+from slabcell_drivers.camera.protocol import ImageFrame
+from slabcell_drivers.robot.protocol import Request, ResultCode
+
+__all__ = ["Execution"]
+
+_FINDING_FAULTS = (
+    Fault.NO_MATCH,
+    Fault.NOTHING_FOUND,
+    Fault.IMAGE_UNUSABLE,
+    Fault.VISION_SLOW,
+    Fault.UNREACHABLE,
+    Fault.OUTSIDE_WORKSPACE,
+    Fault.COLLISION,
+)
+"""Alarms that end when something can be offered."""
+
+
+class Execution:
+    """Runs one trigger at a time.  The state is `ready` before and after, or `offering` after."""
+
+    def __init__(
+        self,
+        machine: StateMachine,
+        desk: JobDesk,
+        looking: Looking,
+        cycles: Cycles,
+        *,
+        alarms: Alarms,
+        conditions: Conditions,
+        settings: CellSettings,
+        emit: Callable[[Event], None],
+        clock: Callable[[], float],
+    ) -> None:
+        self._machine = machine
+        self._desk = desk
+        self._looking = looking
+        self._cycles = cycles
+        self._alarms = alarms
+        self._conditions = conditions
+        self._settings = settings
+        self._emit = emit
+        self._clock = clock
+        self._log = structlog.stdlib.get_logger("slabcell.cell")
+
+    async def run(self, request: Request, job: Job) -> Reply:
+        """Take a picture and do what it allows.  May raise LedgerError."""
+        began_s = self._clock()
+        self._conditions.held = self._conditions.suspended = None
+        cycle = CycleRecord(0, job.job_id, request.session, request.sequence)
+        self._cycles.begin(cycle)
+        await self._machine.fire(CellEvent.TRIGGER, f"trigger {request.session}/{request.sequence}")
+        try:
+            reply = await self._look(request, job, cycle)
+        except LookError as error:
+            self._alarms.come(error.fault, str(error))
+            self._conditions.held = HeldCause.CAMERA if error.fault in CAMERA_FAULTS else HeldCause.NO_MATCH
+            await self._machine.fire(CellEvent.ABANDON, str(error))
+            reply = Reply(error.fault)
+        cycle.times_ms["total"] = (self._clock() - began_s) * 1000
+        cycle.code, cycle.message = int(reply.code), reply.message
+        if reply.left == 0:
+            self._cycles.end()
+        return reply
+
+    async def _look(self, request: Request, job: Job, cycle: CycleRecord) -> Reply:
+        frame = await self._looking.acquire(cycle)
+        self._alarms.cease(*CAMERA_FAULTS)
+        slots = await self._desk.slots(self._settings.attempts_per_slot)
+        cycle.free_slots = slots.free
+        if len(slots.laid) == job.slots:
+            return await self._verify(cycle, frame, slots.laid)
+        if not slots.free:
+            detail = f"slots {', '.join(map(str, slots.given_up))} failed {self._settings.attempts_per_slot} times"
+            raise LookError(Fault.TRIED_TOO_OFTEN, detail)
+        await self._machine.fire(CellEvent.LOCATE, f"frame {frame.frame_id}")
+        if slots.laid:
+            await self._check_laid(job, cycle, frame, slots.laid)
+        plan = await self._looking.locate(frame, slots, cycle)
+        began_s = self._clock()
+        written = await self._desk.write_cycle(request, plan.pairs)
+        cycle.times_ms["ledger"] = (self._clock() - began_s) * 1000
+        cycle.offers = tuple(written)
+        if not written:
+            await self._machine.fire(CellEvent.FINISH, "nothing to offer")
+            return self._nothing_left(cycle)
+        cycle.cycle_id = written[0].cycle_id
+        self._alarms.cease(*_FINDING_FAULTS)
+        await self._machine.fire(CellEvent.OFFER, f"{len(written)} results")
+        return Reply(left=len(written))
+
+    def _nothing_left(self, cycle: CycleRecord) -> Reply:
+        if cycle.refused:
+            fault, detail = cycle.refused[0].fault, cycle.refused[0].detail
+            self._conditions.held = HeldCause.NO_MATCH
+        elif cycle.result is not None and cycle.result.rejected:
+            fault, detail = Fault.NO_MATCH, cycle.result.rejected[0].detail
+            self._conditions.held = HeldCause.NO_MATCH
+        else:
+            fault, detail = Fault.NOTHING_FOUND, "the pick area is empty"
+            self._conditions.suspended = SuspendedCause.NOTHING_ON_TABLE
+        self._alarms.come(fault, detail)
+        return Reply(ResultCode.NOTHING_LEFT, message=entry(fault).robot)
+
+    async def _verify(self, cycle: CycleRecord, frame: ImageFrame, laid: tuple[int, ...]) -> Reply:
+        cycle.verification = True
+        await self._machine.fire(CellEvent.VERIFY, "every slot is filled")
+        try:
+            placements = await self._looking.measure(frame, laid, cycle)
+        except LookError as error:
+            placements = ()
+            self._alarms.come(Fault.VERIFICATION_IMPOSSIBLE, str(error))
+        self._judge(placements)
+        await self._desk.complete(placements)
+        await self._machine.fire(CellEvent.FINISH, "verified")
+        return Reply(ResultCode.JOB_COMPLETE)
+
+    async def _check_laid(self, job: Job, cycle: CycleRecord, frame: ImageFrame, laid: tuple[int, ...]) -> None:
+        """Look after what lies already: the picture is there anyway."""
+        try:
+            placements = await self._looking.measure(frame, laid, cycle)
+        except LookError as error:  # the last picture decides; this one was for information
+            self._log.warning("laid slabs not measured", detail=str(error))
+            return
+        self._judge(placements)
+        self._emit(Verified(job, placements, final=False))
+
+    def _judge(self, placements: tuple[PlacementRecord, ...]) -> None:
+        limit_mm, limit_deg = self._settings.tolerance_mm, self._settings.tolerance_deg
+        for item in placements:
+            if not item.found:
+                self._alarms.come(Fault.PLACEMENT_MISSING, f"slot {item.slot}")
+            elif max(abs(item.dx_mm), abs(item.dy_mm)) > limit_mm or abs(item.da_deg) > limit_deg:
+                self._alarms.come(
+                    Fault.PLACEMENT_OUT_OF_TOLERANCE,
+                    f"slot {item.slot}: dx {item.dx_mm:+.2f} mm, dy {item.dy_mm:+.2f} mm, {item.da_deg:+.2f}°;"
+                    f" allowed are {limit_mm} mm and {limit_deg}°",
+                )
