@@ -49,6 +49,9 @@ MAX_SIGMA_MM = 0.15
 MAX_SIGMA_DEG = 0.15
 FLOOR_PX = 0.03
 JOINT_FLOOR_PX = 0.1
+# How well the light that a joint takes away tells its width: slabs that touch cast a shadow into the joint too.
+GAP_SIGMA_MM = 0.15
+GAP_SIGMA_SHARE = 0.3
 ROUNDS = 3
 ROBUST_STEPS = 5
 TUKEY = 4.7
@@ -80,7 +83,7 @@ class SlotPlacement:
 class _Equations:
     """``rows`` (n, 3·slots + 1) times the unknown motions and the kerf is ``distance`` (mm), known to ``sigma``.
 
-    ``owner``: index of the slot whose piece of edge it is.
+    ``owner``: index of the slot whose piece of edge it is, -1 for a gap.
     """
 
     rows: Floats
@@ -180,7 +183,7 @@ def _measure(
     outlines = [locator.pieces[slot] for slot in filled]
     edges = project_edges(locator.plane, outlines, nominal)
     neighbour = _neighbours(locator, filled)
-    joints = _joints(grey, edges, nominal, neighbour, count)
+    joints = _joints(grey, edges, nominal, neighbour, count, _table_level(grey, mask))
     free = (neighbour < 0) & _is_free(mask, edges)
     # Prior knowledge keeps what nothing measures at its nominal place, with an honest uncertainty.
     known = np.append(np.tile([PRIOR_MM, PRIOR_MM, np.deg2rad(PRIOR_DEG)], count), PRIOR_KERF_MM)
@@ -266,6 +269,11 @@ def _neighbours(locator: Locator, filled: Sequence[int]) -> npt.NDArray[np.intp]
     return np.concatenate(result)
 
 
+def _table_level(grey: Grey, mask: Mask) -> float:
+    background = grey[::4, ::4][mask[::4, ::4] == 0]
+    return float(np.median(background)) if len(background) else 0.0
+
+
 def _is_free(mask: Mask, edges: ProjectedEdges) -> npt.NDArray[np.bool_]:
     """Return for each piece whether only table is seen outside of it, as far as the profile reaches."""
     free = np.ones(len(edges.owner), np.bool_)
@@ -296,14 +304,13 @@ def _free_edges(grey: Grey, edges: ProjectedEdges, free: npt.NDArray[np.bool_], 
 
 
 def _joints(
-    grey: Grey, edges: ProjectedEdges, nominal: Poses, neighbour: npt.NDArray[np.intp], count: int
+    grey: Grey, edges: ProjectedEdges, nominal: Poses, neighbour: npt.NDArray[np.intp], count: int, table: float
 ) -> _Equations:
-    """Return where joints run: their middle moves with half of each neighbour's motion, and not with the kerf."""
+    """Return where joints run, which half of each neighbour's motion moves and kerf does not, and how wide they are."""
     at = np.flatnonzero(neighbour >= 0)
-    shift, sigma, valid = measure_seams(
-        grey, edges.lines.select(at), ProfileModel(SIGMA_PX, JOINT_REACH_PX, WALL_RATIO, 0.3)
-    )
-    at, shift, sigma = at[valid], shift[valid], sigma[valid]
+    model = ProfileModel(SIGMA_PX, JOINT_REACH_PX, WALL_RATIO, 0.3)
+    seams = measure_seams(grey, edges.lines.select(at), model, table)
+    at, valid = at[seams.valid], seams.valid
     own, other = edges.owner[at], neighbour[at]
     arm = edges.on_table[at] - nominal.position[other]
     turn = edges.outward[at, 1] * arm[:, 0] - edges.outward[at, 0] * arm[:, 1]
@@ -314,7 +321,18 @@ def _joints(
         rows[number, 3 * own + column] = 0.5 * edges.rows[at, column]
         rows[number, 3 * other + column] = 0.5 * theirs[:, column]
     per_mm = edges.px_per_mm[at]
-    return _Equations(rows, shift / per_mm, np.hypot(sigma, JOINT_FLOOR_PX) / per_mm, own)
+    middle = _Equations(rows, seams.shift[valid] / per_mm, np.hypot(seams.sigma[valid], JOINT_FLOOR_PX) / per_mm, own)
+    # The width of the gap is known less well, and not better from many pieces of one joint than from one.
+    apart = rows.copy()
+    for column in range(3):
+        apart[number, 3 * own + column] = -edges.rows[at, column]
+        apart[number, 3 * other + column] = theirs[:, column]
+    apart[:, -1] = -2.0
+    gap = seams.gap[valid] / per_mm
+    joint = own * count + other
+    repeats = np.bincount(joint, minlength=1)[joint] if len(joint) else np.zeros(0)
+    sigma = np.hypot(GAP_SIGMA_MM, GAP_SIGMA_SHARE * gap) * np.sqrt(2.0 * repeats)
+    return middle.joined(_Equations(apart, gap, sigma, np.full(len(at), -1)))
 
 
 def _solve(equations: _Equations, known: Floats) -> tuple[Floats, Floats, Floats]:
