@@ -1,4 +1,4 @@
-"""The vision on pictures of the simulated cell: thick slabs with visible walls, uneven light, shadows, texture, noise."""
+"""The vision on the simulated cell: thick slabs with visible walls, uneven light, shadows, texture, noise."""
 
 import dataclasses
 from pathlib import Path
@@ -64,10 +64,10 @@ def test_laid_slabs_are_measured_in_their_slots():
     random = np.random.default_rng(6)
     moves = random.normal(0, 0.05, (len(template.slots), 3))
     slabs = []
-    for slot, (dx, dy, da) in enumerate(moves):
+    for slot, da in enumerate(moves[:, 2]):
         middle = template.slots[slot].centroid
         turn = RigidTransform2D(float(da), 0.0, 0.0)
-        shift = middle + (dx, dy) - turn.apply(middle)
+        shift = middle + moves[slot, :2] - turn.apply(middle)
         lies = in_table @ RigidTransform2D(float(da), float(shift[0]), float(shift[1]))
         slabs.append(
             dataclasses.replace(
