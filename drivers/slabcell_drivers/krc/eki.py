@@ -208,7 +208,7 @@ class EthernetKrl:
         tags = found.config.send
         six = [f"{path}/@{key}" for key in FRAME_KEYS]
         if isinstance(value, Frame) and all(tag in tags for tag in six):
-            found.values.update(zip(six, value.as_tuple(), strict=True))
+            found.values.update(zip(six, map(float, value.as_tuple()), strict=True))
         elif path in tags:
             found.values[path] = value
         else:

@@ -74,7 +74,7 @@ def _add(root: _Node, parts: list[str], value: Value | None) -> None:
         node = node.children.setdefault(part, _Node(part))
     node.only_attributes_configured = False
     if isinstance(value, Frame):
-        node.attributes.update({key: _text(v) for key, v in zip(FRAME_KEYS, value.as_tuple(), strict=True)})
+        node.attributes.update({key: _text(float(v)) for key, v in zip(FRAME_KEYS, value.as_tuple(), strict=True)})
     elif value is not None:
         node.text = _text(value)
 

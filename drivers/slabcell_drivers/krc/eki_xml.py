@@ -65,7 +65,7 @@ def parse_document(raw: bytes) -> XmlElement:
         parser.Parse(raw, True)  # noqa: FBT003  the flag of a C function
     except expat.ExpatError as error:
         raise XmlError(f"line {error.lineno}, column {error.offset + 1}: {expat.ErrorString(error.code)}") from error
-    except ValueError as error:  # an unknown encoding, or a character that the declared one does not have
+    except (ValueError, LookupError) as error:  # an unknown encoding, or a character that the declared one lacks
         if isinstance(error, XmlError):
             raise
         raise XmlError(f"not readable as XML: {error}") from error
@@ -73,11 +73,11 @@ def parse_document(raw: bytes) -> XmlElement:
 
 
 _BETWEEN_DOCUMENTS = b" \t\r\n\0"
-_TOKEN = re.compile(
-    rb"<!--.*?-->|<\?.*?\?>|<!\[CDATA\[.*?\]\]>|<!(?!--|\[CDATA)[^>]*>"
-    rb"|<(?P<end>/)?(?P<name>[^!?<>/\s\"'][^<>/\s\"']*)(?:[^<>\"']|\"[^\"<]*\"|'[^'<]*')*>",
+_TAG = re.compile(
+    rb"<(?P<end>/)?(?P<name>[^!?<>/\s\"'][^<>/\s\"']*)(?:[^<>\"']|\"[^\"<]*\"|'[^'<]*')*>",
     re.DOTALL,
 )
+_PASSED_OVER = ((b"<!--", b"-->"), (b"<![CDATA[", b"]]>"), (b"<?", b"?>"), (b"<!", b">"))
 
 
 class DocumentSplitter:
@@ -101,34 +101,61 @@ class DocumentSplitter:
         self._pending += data
         documents: list[bytes] = []
         while True:
-            if not self._open and self._scanned == 0:
-                del self._pending[: len(self._pending) - len(self._pending.lstrip(_BETWEEN_DOCUMENTS))]
+            if self._scanned == 0:
+                self._strip()
                 junk = self._pending.find(b"<")
                 if junk != 0:
-                    junk = len(self._pending) if junk < 0 else junk
-                    if junk:
-                        documents.append(bytes(self._pending[:junk]))
-                        del self._pending[:junk]
-                        continue
-                    return documents
-            token = _TOKEN.search(self._pending, self._scanned)
-            if token is None:
+                    end = len(self._pending) if junk < 0 else junk
+                    if not end:
+                        return documents
+                    documents.append(self._take(end))
+                    continue
+            end = self._next_token()
+            if end is None:
                 return documents
-            self._scanned = token.end()
-            if self._token_closes_root(token):
-                documents.append(bytes(self._pending[: self._scanned]))
-                del self._pending[: self._scanned]
-                self._scanned = 0
+            begin, self._scanned = self._scanned, end
+            if self._closes_root(begin, end):
+                documents.append(self._take(end))
 
-    def _token_closes_root(self, token: re.Match[bytes]) -> bool:
+    def _strip(self) -> None:
+        del self._pending[: len(self._pending) - len(self._pending.lstrip(_BETWEEN_DOCUMENTS))]
+
+    def _take(self, end: int) -> bytes:
+        document = bytes(self._pending[:end])
+        del self._pending[:end]
+        self._scanned = 0
+        self._open.clear()
+        return document
+
+    def _next_token(self) -> int | None:
+        """Return where the next tag, comment or the like ends, and move to where it begins; None if it is not whole."""
+        while True:
+            begin = self._pending.find(b"<", self._scanned)
+            if begin < 0:
+                return None
+            self._scanned = begin
+            for opener, closer in _PASSED_OVER:
+                if self._pending.startswith(opener, begin):
+                    end = self._pending.find(closer, begin + len(opener))
+                    return None if end < 0 else end + len(closer)
+            tag = _TAG.match(self._pending, begin)
+            if tag:
+                return tag.end()
+            following = self._pending.find(b"<", begin + 1)
+            if following < 0:
+                return None
+            self._scanned = following  # what does not become a tag before the next one is garbage
+
+    def _closes_root(self, begin: int, end: int) -> bool:
         """Follow the nesting; an end tag of the root's name ends the document even if something inside is open."""
-        name = token.group("name")
-        if name is None:
+        tag = _TAG.match(self._pending, begin, end)
+        if tag is None:
             return False
-        if token.group("end"):
+        name = tag.group("name")
+        if tag.group("end"):
             if self._open and name in {self._open[-1], self._open[0]}:
                 del self._open[0 if name == self._open[0] and name != self._open[-1] else -1 :]
-        elif not token.group().endswith(b"/>"):
+        elif not tag.group().endswith(b"/>"):
             self._open.append(name)
         return not self._open
 
