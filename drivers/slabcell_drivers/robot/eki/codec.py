@@ -8,8 +8,10 @@ declaration, three decimals.
 Errors::
 
     TelegramError                 root
-    ├── MalformedTelegramError    not XML, or not the expected root
+    ├── MalformedTelegramError    not XML, not the expected root, or damaged on its way
     └── InvalidTelegramError      XML, but a value is missing or out of range; knows session and sequence
+
+A telegram whose sums do not agree was damaged on its way: it counts as malformed, because nothing in it can be trusted.
 """
 
 import math
@@ -44,6 +46,9 @@ __all__ = [
     "printable",
 ]
 
+CHECK_NODE = "Check"
+SUM_TOLERANCE = 0.01
+"""KRL adds with 24 bits of mantissa: twelve values of a metre, in mm, are off by less than a hundredth."""
 MAX_DEPTH = 8
 MAX_REAL = 1e9
 MAX_NUMBER_CHARS = 40
@@ -105,6 +110,8 @@ def decode_request(telegram: bytes) -> Request:
         type_, state = RequestType(_int(values, "Head/@Type")), AckState(_int(values, "Ack/@State"))
     except ValueError as error:
         raise InvalidTelegramError(f"Robot telegram: {error}", session=session, sequence=sequence) from error
+    if type_ is not RequestType.HEARTBEAT and "Check/@Ints" not in values:
+        raise InvalidTelegramError("Robot telegram: Check/@Ints is missing", session=session, sequence=sequence)
     a1, a2, a3, a4, a5, a6 = (_real(values, f"Axis/@A{axis}") for axis in range(1, 7))
     return Request(
         type=type_,
@@ -189,6 +196,7 @@ def printable(text: str) -> str:
 
 
 def _write(telegram: Telegram, values: Mapping[str, Value]) -> bytes:
+    values = {**values, **_sums(telegram, values)}
     parts = [f"<{telegram.root}>"]
     for node in telegram.nodes:
         attributes = "".join(
@@ -200,6 +208,14 @@ def _write(telegram: Telegram, values: Mapping[str, Value]) -> bytes:
         parts.append(f"<{node.name}{attributes}>{body}</{node.name}>")
     parts.append(f"</{telegram.root}>")
     return "".join(parts).encode("ascii")
+
+
+def _sums(telegram: Telegram, values: Mapping[str, Value]) -> dict[str, int | float]:
+    """Return ``Check``: the sums over the values as they are on the wire, with three decimals."""
+    others = [element for element in telegram.elements if element.node != CHECK_NODE]
+    ints = sum(_int(values, element.path) for element in others if element.type is ElementType.INT)
+    reals = [_real(values, element.path) for element in others if element.type is ElementType.REAL]
+    return {f"{CHECK_NODE}/@Ints": ints, f"{CHECK_NODE}/@Reals": sum(round(value, 3) for value in reals)}
 
 
 def _text(element: Element, value: Value) -> str:
@@ -257,9 +273,19 @@ def _read_checked(telegram: Telegram, raw: bytes, *, required: tuple[str, ...]) 
         problems.insert(
             0, f"Head/@Ver = {version}: this side speaks version {PROTOCOL_VERSION}; install matching programs"
         )
+    else:
+        _check_sums(telegram, values)
     if problems:
         raise InvalidTelegramError(f"{telegram.root} telegram: {problems[0]}", session=session, sequence=sequence)
     return values, session, sequence
+
+
+def _check_sums(telegram: Telegram, values: Mapping[str, Value]) -> None:
+    for path, expected in _sums(telegram, values).items():
+        if path in values and abs(float(values[path]) - expected) > SUM_TOLERANCE:
+            raise MalformedTelegramError(
+                f"{telegram.root}/{path} = {values[path]}, but the values add up to {expected}"
+            )
 
 
 def _value(element: Element, text: str) -> Value:

@@ -75,7 +75,7 @@ def _constant(name: str, value: int, comment: str = "") -> str:
 def _structure() -> str:
     groups: list[tuple[str, list[str]]] = []
     for node in VIS.nodes:
-        if node.name in {"Head", "Msg"}:
+        if node.name in {"Head", "Check", "Msg"}:
             continue
         members = (
             [("FRAME", node.name.upper())]

@@ -52,6 +52,8 @@ def reference_page(channel: Channel) -> str:
             "",
             "- An answer counts only if its version and session are right and `Head/@Ack` is the number of the request",
             "  that is under way; anything else is dropped.",
+            "- `Check` sums up the values. A telegram whose sums do not agree was damaged, or is a mixture from EKI's",
+            "  memories: either side drops it, and the robot asks again.",
             "- A request without an answer is asked again with the same number, three times; the cell gives the same",
             "  answer. After that, and whenever the link is lost, the robot connects anew and says HELLO.",
             "- HELLO carries the last result and how far the robot got with it, from `VT.dat`, and whether the gripper",

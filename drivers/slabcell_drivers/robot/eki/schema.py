@@ -7,6 +7,9 @@ The robot's telegram has the root ``Robot``, the cell's has the root ``Vis``.  E
 because EKI keeps one memory per element and loses track of what arrived together when one is missing; a telegram
 carries at most one result, because a repeated element fills its memory, and a full memory closes the connection.
 
+``Check`` holds sums over the values.  They tell whether the values that a program reads from EKI's memories, one by
+one, come from one telegram and arrived as they were sent.
+
 Sources: KUKA.EthernetKRL 2.2 manual (19.12.2012), chapters "Configuration" and "Programming"; the public channel files
 of ros-industrial/kuka_experimental and of the rc_visard EKI bridge.
 """
@@ -156,6 +159,7 @@ ROBOT = Telegram(
             ("Grip", "1 while the gripper holds a part"),
             ("Err", "number of the robot's last own error, 0 = none"),
         ),
+        Node("Check", (Element("Check", "Ints", _INT, "sum of every other INT of this telegram"),)),
     ),
 )
 
@@ -187,6 +191,13 @@ VIS = Telegram(
                 Element("Part", "Slot", _INT, "slot of the template, from 0"),
                 Element("Part", "Score", ElementType.REAL, "score of the match, 0 to 1"),
                 Element("Part", "Grip", _INT, "which gripper to use, 0 = the only one"),
+            ),
+        ),
+        Node(
+            "Check",
+            (
+                Element("Check", "Ints", _INT, "sum of every other INT of this telegram"),
+                Element("Check", "Reals", ElementType.REAL, "sum of every other REAL of this telegram"),
             ),
         ),
         Node("Msg", (Element("Msg", "", ElementType.STRING, f'text for the operator; "{EMPTY_TEXT}" = none'),)),
