@@ -17,7 +17,7 @@ __all__ = ["PathMark", "PathSegment", "draw_path", "segment_of"]
 WIDTH_PX = 900
 MARGIN_PX = 50
 MAX_POINTS = 200_000
-SEGMENT_STEP_S = 0.024
+SEGMENT_STEP_S = 0.012
 COLOURS = {
     MotionKind.PTP: "#8c6bb1",
     MotionKind.LIN: "#2b7bba",
