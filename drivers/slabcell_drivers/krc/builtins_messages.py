@@ -1,0 +1,269 @@
+"""How do KRL programs show messages, ask questions, format texts and pulse outputs?"""
+
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from slabcell_drivers.krc.builtin_table import Builtin
+from slabcell_drivers.krc.builtins_basic import place_text, text
+from slabcell_drivers.krc.cells import Place, Trait
+from slabcell_drivers.krc.messages import KrlError, RunMessage
+from slabcell_drivers.krc.values import ArrayValue, CharArray, EnumConstant, StructValue, Value, text_of
+
+if TYPE_CHECKING:
+    from slabcell_drivers.krc.kernel import Kernel
+
+__all__ = ["MESSAGE_BUILTINS", "format_text"]
+
+_STOP = frozenset({Trait.STOPS_ADVANCE})
+_CONVERSION = re.compile(r"%([-+ 0#]*)(\d*)(?:\.(\d+))?([a-zA-Z%])")
+
+
+def _shown(value: Value) -> str:
+    if isinstance(value, CharArray):
+        return value.text or ""
+    if isinstance(value, str):
+        return value
+    return text_of(value)
+
+
+def _parameter_text(parameter: Value) -> str | None:
+    if not isinstance(parameter, StructValue):
+        return None
+    kind = parameter.fields.get("PAR_TYPE")
+    if isinstance(kind, EnumConstant) and kind.name == "EMPTY":
+        return ""
+    for name in ("PAR_TXT", "PAR_INT", "PAR_REAL", "PAR_BOOL"):
+        value = parameter.fields.get(name)
+        if isinstance(value, CharArray) and value.text is None:
+            value = None
+        if value is not None:
+            return _shown(value)
+    return ""
+
+
+def _filled(message: str, parameters: Value) -> str:
+    values: list[str | None] = []
+    if isinstance(parameters, ArrayValue):
+        values = [_parameter_text(item) for item in parameters.items]
+    for number in (1, 2, 3):
+        value = values[number - 1] if number <= len(values) else None
+        message = message.replace(f"%{number}", value or "")
+    return message
+
+
+def _message_parts(message: Value) -> tuple[str, int, str]:
+    if not isinstance(message, StructValue):
+        raise KrlError(RunMessage.TYPE, f"{text_of(message)} is no KRLMSG_T")
+    originator, content = message.fields.get("MODUL"), message.fields.get("MSG_TXT")
+    return _shown(originator or ""), int(message.fields.get("NR") or 0), _shown(content or "")
+
+
+def _set_message(host: "Kernel", kind: Value, message: Value, parameters: Value = None, *_: Value) -> int:
+    originator, number, content = _message_parts(message)
+    name = kind.name if isinstance(kind, EnumConstant) else "NOTIFY"
+    return host.messages.show(name, originator, number, _filled(content, parameters))
+
+
+def _set_dialog(host: "Kernel", message: Value, parameters: Value = None, softkeys: Value = None, *_: Value) -> int:
+    originator, number, content = _message_parts(message)
+    keys: list[str] = []
+    if isinstance(softkeys, ArrayValue):
+        keys = [_shown(k.fields.get("SK_TXT") or "") for k in softkeys.items if isinstance(k, StructValue)]
+    return host.messages.show("DIALOG", originator, number, _filled(content, parameters), tuple(keys))
+
+
+def _message_exists(host: "Kernel", handle: Value) -> bool:
+    return host.messages.is_open(int(handle))
+
+
+def _clear_message(host: "Kernel", handle: Value) -> bool:
+    return host.messages.clear(int(handle))
+
+
+def _dialog_exists(host: "Kernel", handle: Value, answer: Place | None = None) -> bool:
+    key = host.messages.answered(int(handle))
+    if key is None:
+        host.expect_operator()
+        return True
+    if answer is not None:
+        answer.set(key)
+    return False
+
+
+def _message_short(kind: str) -> "_Short":
+    return _Short(kind)
+
+
+class _Short:
+    """MsgNotify("text","module",number) and its kin."""
+
+    def __init__(self, kind: str) -> None:
+        self._kind = kind
+
+    def __call__(
+        self, host: "Kernel", content: Value, originator: Value = None, number: Value = None, *_: Value
+    ) -> int:
+        module = "" if originator is None else text(originator)
+        return host.messages.show(self._kind, module, int(number or 0), text(content))
+
+
+def _ask(host: "Kernel", content: Value, *arguments: Value) -> int:
+    keys = tuple(text(a) for a in arguments if isinstance(a, str | CharArray))
+    return host.messages.show("DIALOG", "", 0, text(content), keys)
+
+
+# --- formatting ----------------------------------------------------------------------------------------------------
+
+
+def format_text(template: str, values: Sequence[Value]) -> str:
+    """Return the text that SWRITE or CWRITE makes of a format and values.  Raises KrlError if they do not match."""
+    rest = list(values)
+
+    def convert(match: re.Match[str]) -> str:
+        flags, width, precision, letter = match.groups()
+        if letter == "%":
+            return "%"
+        if not rest:
+            raise KrlError(RunMessage.ARGUMENTS, f"the format {template!r} needs more values than are given")
+        value = rest.pop(0)
+        spec = f"%{flags}{width}" + (f".{precision}" if precision is not None else "")
+        if letter in "dioxXc":
+            if letter == "c" and isinstance(value, str):
+                return (spec + "s") % value[:1]
+            if isinstance(value, bool) or not isinstance(value, int):
+                value = int(value) if isinstance(value, bool | float) else ord(str(value)[:1] or " ")
+            return (spec + letter) % value
+        if letter in "feEgG":
+            return (spec + letter) % float(value)
+        return (spec + "s") % _shown(value)
+
+    return _CONVERSION.sub(convert, template)
+
+
+def _set_state(state: Place | None, return_code: str, hits: int, length: int) -> None:
+    if state is None:
+        return
+    structure = state.value
+    if isinstance(structure, StructValue) and structure.type is not None:
+        for name, value in (("RET1", EnumConstant(return_code)), ("HITS", hits), ("LENGTH", length), ("MSG_NO", 0)):
+            if name in structure.type.members:
+                structure.set(name, value)
+
+
+def _write_text(
+    _: "Kernel", target: Place, state: Place | None, offset: Place | None, form: Place, *values: Place
+) -> None:
+    start = int(offset.value or 0) if offset is not None else 0
+    written = format_text(text(form.value), [v.value for v in values])
+    before = place_text(target)[:start].ljust(start)
+    array = target.value
+    joined = before + written
+    if isinstance(array, CharArray) and len(joined) > array.size:
+        joined = joined[: array.size]
+        _set_state(state, "DATA_BLK", 0, 0)
+    else:
+        _set_state(state, "CMD_OK", len(values), len(written))
+    target.set(joined)
+    if offset is not None:
+        offset.set(len(joined))
+
+
+_SCAN = {
+    "d": r"\s*([-+]?\d+)",
+    "i": r"\s*([-+]?\d+)",
+    "x": r"\s*([0-9A-Fa-f]+)",
+    "s": r"\s*(\S+)",
+    "c": r"(.)",
+    **dict.fromkeys("feEgG", r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"),
+}
+
+
+def _read_text(
+    _: "Kernel", source: Place, state: Place | None, offset: Place | None, form: Place, *targets: Place
+) -> None:
+    start = int(offset.value or 0) if offset is not None else 0
+    content = place_text(source)
+    position, hits = start, 0
+    template = text(form.value)
+    rest = list(targets)
+    last = 0
+    ok = True
+    for match in _CONVERSION.finditer(template):
+        literal = template[last : match.start()]
+        last = match.end()
+        skipped = re.compile(r"\s*".join(re.escape(part) for part in literal.split(" "))).match(content, position)
+        if skipped is None:
+            ok = False
+            break
+        position = skipped.end()
+        letter, width = match.group(4), match.group(2)
+        pattern = _SCAN.get(letter, r"(\S+)")
+        if letter == "s" and width:
+            pattern = rf"(.{{1,{int(width)}}})"
+        found = re.compile(pattern).match(content, position)
+        if found is None or not rest:
+            ok = False
+            break
+        position = found.end()
+        raw = found.group(1)
+        value: Value = int(raw, 16) if letter == "x" else int(raw) if letter in "di" else raw
+        rest.pop(0).set(float(raw) if letter in "feEgG" else value)
+        hits += 1
+    _set_state(state, "CMD_OK" if ok else "FMT_ERR", hits, position - start)
+    if offset is not None:
+        offset.set(position)
+
+
+# --- outputs -------------------------------------------------------------------------------------------------------
+
+
+def _pulse(host: "Kernel", output: Place, level: Value, seconds: Value) -> None:
+    if isinstance(seconds, bool) or not isinstance(seconds, int | float) or seconds <= 0:
+        raise KrlError(RunMessage.RANGE, f"PULSE: {text_of(seconds)} s is not above 0")
+    output.set(level)
+    host.schedule(float(seconds), lambda: output.set(not level))
+
+
+def _not_here(name: str) -> "_NotHere":
+    return _NotHere(name)
+
+
+class _NotHere:
+    """A function of interfaces that this controller does not have."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __call__(self, _: "Kernel", *arguments: Value) -> None:
+        del arguments
+        raise KrlError(RunMessage.NOT_SUPPORTED, f"{self._name}: this controller has no such interface")
+
+
+def _channel_write(host: "Kernel", handle: Value, state: Place | None, *arguments: Value) -> None:
+    """CWRITE to $CMD and its kin: noted as a message, done by nobody."""
+    del handle, arguments
+    _set_state(state, "CMD_OK", 1, 0)
+    host.messages.show("NOTIFY", "CWRITE", 0, "a command to the system was not carried out")
+
+
+MESSAGE_BUILTINS: dict[str, Builtin] = {
+    "SET_KRLMSG": Builtin(_set_message, 2, 4, result="INT"),
+    "SET_KRLDLG": Builtin(_set_dialog, 1, 4, result="INT"),
+    "EXISTS_KRLMSG": Builtin(_message_exists, 1, 1, result="BOOL"),
+    "EXISTS_KRLDLG": Builtin(_dialog_exists, 1, 2, frozenset({1}), result="BOOL"),
+    "CLEAR_KRLMSG": Builtin(_clear_message, 1, 1, result="BOOL"),
+    "MSGNOTIFY": Builtin(_message_short("NOTIFY"), 1, 8, result="INT"),
+    "MSGSTATE": Builtin(_message_short("STATE"), 1, 8, result="INT"),
+    "MSGQUIT": Builtin(_message_short("QUIT"), 1, 8, result="INT"),
+    "MSGWAIT": Builtin(_message_short("WAITING"), 1, 8, result="INT"),
+    "MSGLOOP": Builtin(_message_short("STATE"), 1, 8, result="INT"),
+    "MSGDIALOG": Builtin(_ask, 1, 12),
+    "SWRITE": Builtin(_write_text, 4, 34, frozenset({0, 1, 2}), rest_out=True),
+    "SREAD": Builtin(_read_text, 4, 34, frozenset({0, 1, 2}), rest_out=True),
+    "CWRITE": Builtin(_channel_write, 2, 34, frozenset({1})),
+    "CREAD": Builtin(_not_here("CREAD"), 1, 34),
+    "COPEN": Builtin(_not_here("COPEN"), 1, 4),
+    "CCLOSE": Builtin(_not_here("CCLOSE"), 1, 4),
+    "PULSE": Builtin(_pulse, 3, 3, frozenset({0}), traits=_STOP),
+}

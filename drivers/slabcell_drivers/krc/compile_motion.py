@@ -1,0 +1,103 @@
+"""How do motions, spline blocks and triggers become operations?"""
+
+from typing import TYPE_CHECKING
+
+from slabcell_drivers.krc.code import Activation, Pause
+from slabcell_drivers.krc.messages import KrlError, RunMessage
+from slabcell_drivers.krc.motion_runner import MoveOrder, TriggerOrder
+from slabcell_drivers.krc.syntax import Expr, Index, Member, Motion, Name, Spline, Trigger
+
+if TYPE_CHECKING:
+    from slabcell_drivers.krc.compile_routines import RoutineCompiler
+
+__all__ = ["compile_motion", "compile_spline", "compile_trigger"]
+
+_NO_ROOM = Pause.MOTION
+
+
+def _root_name(node: Expr) -> str:
+    while isinstance(node, Index | Member):
+        node = node.base
+    return node.name if isinstance(node, Name) else ""
+
+
+def compile_motion(compiler: "RoutineCompiler", node: Motion) -> None:
+    """Emit one motion: an operation that plans it as soon as the advance run has room for it."""
+    if not node.points:
+        raise KrlError(RunMessage.NOT_TAUGHT, f"{node.kind} !: this point was never taught")
+    points = [compiler.expr(point)[0] for point in node.points]
+    angle = compiler.expr(node.angle)[0] if node.angle is not None else None
+    settings = [(compiler.place(t), compiler.expr(v)[0], _root_name(t)) for t, v in node.settings]
+    runner = compiler.interpreter.motion
+    names = frozenset(name for _, _, name in settings)
+    kind, approximation, reference = node.kind, node.approximation, node.reference
+    file, line = compiler.code.file, node.place.line
+
+    def move(a: Activation) -> Pause | None:
+        if not runner.has_room:
+            a.pc -= 1
+            return _NO_ROOM
+        with runner.settings([(place(a), value(a)) for place, value, _ in settings]):
+            runner.move(
+                MoveOrder(
+                    kind=kind,
+                    points=tuple(point(a) for point in points),
+                    angle_deg=None if angle is None else angle(a),
+                    approximation=approximation,
+                    reference=reference,
+                    settings=names,
+                    file=file,
+                    line=line,
+                )
+            )
+        return None
+
+    compiler.emit_synchronized(move)
+    compiler.emit_synchronized(runner.wait_without_advance)
+
+
+def compile_spline(compiler: "RoutineCompiler", node: Spline) -> None:
+    """Emit a spline block: its segments pass into each other without a stop."""
+    settings = [(compiler.place(t), compiler.expr(v)[0]) for t, v in node.settings]
+    runner = compiler.interpreter.motion
+    approximated = bool(node.approximation)
+
+    def begin(a: Activation) -> Pause | None:
+        if not runner.has_room:
+            a.pc -= 1
+            return _NO_ROOM
+        runner.begin_spline([(place(a), value(a)) for place, value in settings])
+        return None
+
+    def end(_: Activation) -> None:
+        runner.end_spline(approximated=approximated)
+
+    compiler.emit_synchronized(begin)
+    compiler.block(node.body)
+    compiler.emit_synchronized(end)
+    compiler.emit_synchronized(runner.wait_without_advance)
+
+
+def compile_trigger(compiler: "RoutineCompiler", node: Trigger) -> None:
+    """Emit a trigger: it belongs to the next motion that is planned."""
+    position = compiler.expr(node.position)[0]
+    delay = compiler.expr(node.delay)[0] if node.delay is not None else None
+    priority = compiler.expr(node.priority)[0] if node.priority is not None else None
+    compiler.traits.clear()  # what the action touches is touched in the main run
+    label = compiler.action(node.action)
+    runner, kind, on_start = compiler.interpreter.motion, node.kind, node.on_start
+
+    def arm(a: Activation) -> None:
+        runner.add_trigger(
+            TriggerOrder(
+                kind=kind,
+                position=float(position(a)),
+                on_start=on_start,
+                delay_s=0.0 if delay is None else float(delay(a)) / 1000.0,
+                priority=0 if priority is None else int(priority(a)),
+                activation=a,
+                label=label,
+            )
+        )
+
+    compiler.emit_synchronized(arm)

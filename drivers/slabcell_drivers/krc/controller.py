@@ -1,0 +1,348 @@
+"""How does one run KRL programs without a robot?  `SoftwareKrc`: a KR C4 in software as a library.
+
+It loads a project of .src and .dat files, runs a program in virtual time, and tells the cell around it what the
+outputs and the tool do.  It is *not* a safety controller and not a substitute for a test run in T1.
+"""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Protocol, Self
+
+from slabcell_drivers.krc.cells import Place
+from slabcell_drivers.krc.code import Activation, Code
+from slabcell_drivers.krc.compile_expressions import ExpressionCompiler
+from slabcell_drivers.krc.data_values import to_krl, to_python
+from slabcell_drivers.krc.eki import EkiEvent, EthernetKrl
+from slabcell_drivers.krc.eki_channel import TelegramDirection
+from slabcell_drivers.krc.kernel import Hooks, Kernel
+from slabcell_drivers.krc.messages import KrlError, RunMessage
+from slabcell_drivers.krc.motion_runner import Move
+from slabcell_drivers.krc.parser import parse
+from slabcell_drivers.krc.scope import ModuleScope
+from slabcell_drivers.krc.smartpad import ShownMessage
+from slabcell_drivers.krc.syntax import Assign, Diagnostic, Module, Routine
+from slabcell_drivers.krc.values import EnumConstant, Value, copy_value
+from slabcell_drivers.robot.arm import ArmModel, Axes
+from slabcell_drivers.robot.frame import Frame
+
+__all__ = ["CellIo", "RunResult", "SoftwareKrc", "TraceEvent", "read_project"]
+
+HOME: Axes = (0.0, -90.0, 90.0, 0.0, 0.0, 0.0)
+_ENDINGS = frozenset({".src", ".dat", ".sub"})
+
+
+class CellIo(Protocol):
+    """The cell around the robot, as far as it follows outputs and the tool."""
+
+    def output_changed(self, index: int, value: bool, tcp: Frame) -> None:  # noqa: FBT001  # a bit is a value
+        """$OUT[index] has changed; ``tcp`` is the tool centre point in the robot's root."""
+        ...
+
+    def moved(self, tcp: Frame) -> None:
+        """Take note that the tool has moved there: called at the end of every motion at least."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class TraceEvent:
+    """One thing that happened; ``kind`` is statement, motion, io, telegram or message."""
+
+    kind: str
+    time_s: float
+    file: str
+    line: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class RunResult:
+    """How a run ended: ``status`` is done, halted, error, cancelled or deadline; where, and with which message."""
+
+    status: str
+    message_number: int
+    message: str
+    file: str
+    line: int
+    virtual_time_s: float
+    statements: int
+
+
+def read_project(folder: Path) -> dict[str, bytes]:
+    """Return the .src, .dat and .sub files below a folder by their path in it."""
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.suffix.lower() in _ENDINGS and path.is_file()
+    }
+
+
+class SoftwareKrc:
+    """One controller with its project.  Use it as a context manager, or call `close`.
+
+    ``speed`` 1.0 runs in real time, None as fast as possible.  ``trace`` is called from the thread that runs programs.
+    """
+
+    def __init__(
+        self,
+        sources: Mapping[str, bytes] | Path,
+        *,
+        robot: ArmModel,
+        eki_configs: Mapping[str, bytes] | None = None,
+        eki_addresses: Mapping[str, tuple[str, int]] | None = None,
+        io: CellIo | None = None,
+        seed: int = 0,
+        speed: float | None = None,
+        trace: Callable[[TraceEvent], None] | None = None,
+        trace_kinds: frozenset[str] = frozenset({"motion", "io", "telegram", "message"}),
+        dialog: Callable[[ShownMessage], int] | None = None,
+        home_axes_deg: Axes = HOME,
+    ) -> None:
+        self._io = io
+        self._trace = trace
+        self._kinds = trace_kinds if trace is not None else frozenset[str]()
+        hooks = Hooks(
+            output_changed=self._output_changed,
+            moved=self._moved,
+            move_started=self._move_started,
+            message_shown=self._message_shown,
+            dialog=dialog or _no_answer,
+        )
+        self._kernel = kernel = Kernel(arm=robot, home=home_axes_deg, hooks=hooks, seed=seed, speed=speed)
+        kernel.eki = EthernetKrl(
+            dict(eki_configs or {}),
+            set_flag=kernel.io.flags.flags.put,
+            set_out=kernel.io.outputs.put,
+            rng=kernel.rng,
+            addresses=eki_addresses,
+            on_telegram=self._telegram,
+            on_notice=lambda channel, text: self._emit("message", f"EKI {channel}: {text}"),
+        )
+        if "statement" in self._kinds:
+            kernel.interpreter.on_statement = self._statement
+        kernel.motion.reports_every_step = speed is not None or "path" in self._kinds
+        found = read_project(sources) if isinstance(sources, Path) else dict(sources)
+        self.diagnostics: list[Diagnostic] = []
+        self._load(found)
+        self._power_on = self._snapshot()
+
+    def _load(self, sources: Mapping[str, bytes]) -> None:
+        predefined = files("slabcell_drivers.krc").joinpath("predefined.dat").read_bytes()
+        project = self._kernel.project
+        project.load([("$PREDEFINED", parse(predefined, "predefined.dat"))])
+        self._kernel.system.populate()
+        modules: list[tuple[str, Module]] = []
+        for name, source in sources.items():
+            module = parse(source, name)
+            self.diagnostics.extend(module.diagnostics)
+            modules.append((_stem(name), module))
+        # system data first: programs may use its constants as sizes of their arrays
+        modules.sort(key=lambda item: not item[0].startswith("$"))
+        project.load(modules)
+        self.diagnostics.extend(project.problems)
+
+    # --- running ------------------------------------------------------------------------------------------------
+
+    def run(self, program: str, *, max_wall_s: float) -> RunResult:
+        """Select a program, run it to its end and deselect it.  Blocks; meant for a worker thread.
+
+        A HALT ends the run with status ``halted``; `go_on` presses Start again.
+        """
+        kernel = self._kernel
+        kernel.cancelled.clear()
+        kernel.stopped = None
+        kernel.is_halted = False
+        found = self._find_program(program)
+        if isinstance(found, RunResult):
+            return found
+        routine, module = found
+        kernel.eki.end(EkiEvent.PROGRAM_RESET)
+        kernel.system.reset_motion_settings()
+        kernel.motion.planner.needs_axis_motion = True
+        kernel.motion.discard()
+        kernel.interpreter.statements = 0
+        kernel.interpreter.select(routine, module)
+        kernel.system.write("$PRO_NAME", module.name[:24])
+        kernel.system.write("$PRO_NAME1", module.name[:24])
+        kernel.system.write("$PRO_STATE1", EnumConstant("P_ACTIVE"))
+        return self._run_on(max_wall_s)
+
+    def go_on(self, *, max_wall_s: float) -> RunResult:
+        """Press Start after a HALT."""
+        self._kernel.is_halted = False
+        return self._run_on(max_wall_s)
+
+    def _run_on(self, max_wall_s: float) -> RunResult:
+        kernel = self._kernel
+        interpreter = kernel.interpreter
+        deadline = time.monotonic() + max_wall_s
+        result: RunResult | None = None
+        try:
+            while result is None:
+                pause = None if interpreter.is_done else interpreter.run_slice(kernel.quota)
+                if kernel.is_halted:
+                    result = self._result("halted", RunMessage.HALT, "HALT")
+                elif interpreter.is_done and not kernel.motion.is_busy:
+                    result = self._result("done", 0, "")
+                elif kernel.cancelled.is_set():
+                    result = self._result("cancelled", RunMessage.CANCELLED, "the program was cancelled")
+                elif kernel.stopped is not None:
+                    result = self._result("error", *kernel.stopped)
+                elif time.monotonic() >= deadline:
+                    text = f"the program did not end within {max_wall_s:g} s"
+                    result = self._result("deadline", RunMessage.DEADLINE, text)
+                else:
+                    kernel.tick(pause)
+        except KrlError as error:
+            result = self._result("error", error.number, error.text)
+            kernel.messages.show("QUIT", "KRC", error.number, f"{error.text} ({result.file} {result.line})")
+        if result.status != "halted":
+            self._deselect()
+        return result
+
+    def _result(self, status: str, number: int, message: str) -> RunResult:
+        kernel = self._kernel
+        file, line = kernel.interpreter.place
+        return RunResult(status, int(number), message, file, line, kernel.clock.now_s, kernel.interpreter.statements)
+
+    def _deselect(self) -> None:
+        kernel = self._kernel
+        kernel.interpreter.deselect()
+        kernel.motion.discard()
+        kernel.forget_events()
+        kernel.eki.end(EkiEvent.PROGRAM_RESET)
+        kernel.system.write("$PRO_STATE1", EnumConstant("P_FREE"))
+
+    def _find_program(self, program: str) -> tuple[Routine, ModuleScope] | RunResult:
+        stem = _stem(program)
+        module = self._kernel.project.modules.get(stem)
+        if module is None or module.main is None:
+            known = ", ".join(sorted(m.name for m in self._kernel.project.modules.values() if m.main is not None))
+            text = f"there is no program {program}; there are: {known or 'none'}"
+            return RunResult("error", RunMessage.NO_PROGRAM, text, "", 0, self._kernel.clock.now_s, 0)
+        for found in self.diagnostics:
+            if found.severity == "error" and found.file == module.program_file:
+                return RunResult(
+                    "error", RunMessage.SYNTAX, str(found), found.file, found.line, self._kernel.clock.now_s, 0
+                )
+        return module.main, module
+
+    def cancel(self) -> None:
+        """Cancel the program from another thread."""
+        self._kernel.cancelled.set()
+
+    def close(self) -> None:
+        """Close every connection; may be called twice."""
+        self._kernel.eki.close_all()
+
+    def __enter__(self) -> Self:
+        """Return the controller."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close every connection."""
+        self.close()
+
+    # --- what the cell sees and does ----------------------------------------------------------------------------
+
+    def set_input(self, number: int, value: bool) -> None:  # noqa: FBT001  # a bit is a value
+        """Set $IN[number]; from any thread."""
+        if self._kernel.io.inputs[number] is not value:
+            self._kernel.io.inputs.put(number, value)
+            self._emit("io", f"$IN[{number}]={'TRUE' if value else 'FALSE'}")
+
+    def output(self, number: int) -> bool:
+        """Return $OUT[number]."""
+        return self._kernel.io.outputs[number]
+
+    @property
+    def tcp(self) -> Frame:
+        """The tool centre point in the robot's root."""
+        return self._kernel.motion.tcp
+
+    @property
+    def axes_deg(self) -> Axes:
+        """The axis angles."""
+        return self._kernel.motion.axes
+
+    @property
+    def virtual_time_s(self) -> float:
+        """The time since the controller was switched on."""
+        return self._kernel.clock.now_s
+
+    @property
+    def messages(self) -> list[ShownMessage]:
+        """Every message shown so far."""
+        return list(self._kernel.messages.log)
+
+    def _emit(self, kind: str, text: str) -> None:
+        if self._trace is not None and kind in self._kinds:
+            file, line = self._kernel.interpreter.place
+            self._trace(TraceEvent(kind, self._kernel.clock.now_s, file, line, text))
+
+    def _output_changed(self, number: int, value: bool) -> None:  # noqa: FBT001  # a bit is a value
+        self._emit("io", f"$OUT[{number}]={'TRUE' if value else 'FALSE'}")
+        if self._io is not None:
+            self._io.output_changed(number, value, self.tcp)
+
+    def _moved(self, tcp: Frame) -> None:
+        if self._io is not None:
+            self._io.moved(tcp)
+        if "path" in self._kinds:
+            self._emit("path", ",".join(f"{v:.3f}" for v in tcp.as_tuple()))
+
+    def _move_started(self, move: Move) -> None:
+        if "motion" in self._kinds and self._trace is not None:
+            order = move.order
+            text = f"{order.kind} {' '.join(map(repr, order.points))} {move.trajectory.duration_s:.3f} s"
+            self._trace(TraceEvent("motion", self._kernel.clock.now_s, order.file, order.line, text))
+
+    def _message_shown(self, message: ShownMessage) -> None:
+        self._emit("message", str(message))
+
+    def _telegram(self, channel: str, direction: TelegramDirection, telegram: bytes) -> None:
+        self._emit("telegram", f"{channel} {direction.value} {telegram.decode('latin-1')}")
+
+    def _statement(self, file: str, line: int) -> None:
+        if self._trace is not None:
+            self._trace(TraceEvent("statement", self._kernel.clock.now_s, file, line, ""))
+
+    # --- data ---------------------------------------------------------------------------------------------------
+
+    def data(self, module: str, name: str) -> object:
+        """Return a variable, ``NAME``, ``NAME[1]`` or ``NAME.X``: a number, text, Frame, dict or list; None if not set.
+
+        ``module`` is a data list, ``$CONFIG`` or empty for global data.  Raises KrlError if it is not declared.
+        """
+        return to_python(self._place(module, name).value)
+
+    def set_data(self, module: str, name: str, value: object) -> None:
+        """Set a variable from a number, text, Frame, dict or list.  Raises KrlError: not declared, or not fitting."""
+        self._place(module, name).set(to_krl(value))
+
+    def _place(self, module: str, name: str) -> Place:
+        parsed = parse(f"DEF X()\n{name}=0\nEND\n", "data")
+        statement = parsed.routines[0].body[0] if parsed.routines and parsed.routines[0].body else None
+        if parsed.diagnostics or not isinstance(statement, Assign):
+            raise KrlError(RunMessage.SYNTAX, f"{name} is no variable")
+        scope = self._kernel.project.modules.get(_stem(module)) if module else None
+        compiler = ExpressionCompiler(self._kernel.project, scope, Code("", ""))
+        return compiler.place(statement.target)(Activation(compiler.code, []))
+
+    def _snapshot(self) -> dict[str, dict[str, Value]]:
+        return {
+            module.name: {name: copy_value(cell.value) for name, cell in module.data.items()}
+            for module in self._kernel.project.modules.values()
+        }
+
+
+def _no_answer(_: ShownMessage) -> int:
+    return 0
+
+
+def _stem(name: str) -> str:
+    last = name.replace("\\", "/").rsplit("/", maxsplit=1)[-1]
+    head, dot, ending = last.rpartition(".")
+    return (head if dot and f".{ending.lower()}" in _ENDINGS else last).upper()

@@ -1,0 +1,307 @@
+"""Which trajectory does a motion instruction mean?  Points, frames and speeds of the program, made into a plan."""
+
+import itertools
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+from slabcell_drivers.krc.messages import KrlError, RunMessage
+from slabcell_drivers.krc.motion import (
+    INTERPOLATION_TICK_S,
+    MotionError,
+    PathLimits,
+    Trajectory,
+    as_motion_error,
+    plan_circ,
+    plan_lin,
+    plan_ptp,
+)
+from slabcell_drivers.krc.operators import FRAME_FIELDS, frame_of
+from slabcell_drivers.krc.values import StructValue, Value, text_of
+from slabcell_drivers.robot.arm import ArmError, ArmModel, Axes
+from slabcell_drivers.robot.frame import Frame
+
+if TYPE_CHECKING:
+    from slabcell_drivers.krc.motion_runner import TriggerOrder
+
+__all__ = ["AXIS_FIELDS", "MotionPlanner", "MotionVariables", "MoveOrder", "Planned"]
+
+AXIS_FIELDS = ("A1", "A2", "A3", "A4", "A5", "A6")
+_POINT_TO_POINT = frozenset({"PTP", "SPTP"})
+_CIRCLES = frozenset({"CIRC", "SCIRC"})
+MAX_ADVANCE = 5
+
+
+@dataclass(frozen=True, slots=True)
+class MoveOrder:
+    """One motion instruction with its points evaluated."""
+
+    kind: str
+    points: tuple[Value, ...]
+    angle_deg: float | None = None
+    approximation: tuple[str, ...] = ()
+    reference: str = ""
+    settings: frozenset[str] = frozenset()
+    file: str = ""
+    line: int = 0
+
+    @classmethod
+    def returning(cls) -> "MoveOrder":
+        """Return the order for the way back to an interrupted path."""
+        return cls("PTP", ())
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """A plan with the frames it was made for."""
+
+    trajectory: Trajectory
+    tool: Frame
+    base: Frame
+
+
+class MotionVariables(Protocol):
+    """The system variables that motions read; None stands for one that was never set."""
+
+    def read(self, name: str) -> Value:
+        """Return a system variable such as ``$TOOL``."""
+        ...
+
+
+class MotionPlanner:
+    """Plans motions of one arm with the speeds and frames that the program has set."""
+
+    def __init__(self, arm: ArmModel, variables: MotionVariables, home: Axes) -> None:
+        self.arm = arm
+        self.home = home
+        self._variables = variables
+        self.needs_axis_motion = True  # the first motion of a program has to be a PTP
+
+    # --- system variables ---------------------------------------------------------------------------------------
+
+    @property
+    def advance(self) -> int:
+        """$ADVANCE."""
+        value = self._variables.read("$ADVANCE")
+        return min(MAX_ADVANCE, value) if isinstance(value, int) else 3
+
+    @property
+    def override(self) -> float:
+        """$OV_PRO as a factor."""
+        value = self._variables.read("$OV_PRO")
+        return min(1.0, max(0.0, value / 100.0)) if isinstance(value, int | float) else 1.0
+
+    @property
+    def tool_or_null(self) -> Frame:
+        """$TOOL, the flange if it is not set."""
+        return self._frame("$TOOL", needed=False)
+
+    @property
+    def base_or_null(self) -> Frame:
+        """$BASE, the root if it is not set."""
+        return self._frame("$BASE", needed=False)
+
+    def _frame(self, name: str, *, needed: bool) -> Frame:
+        value = self._variables.read(name)
+        if isinstance(value, StructValue) and value.fields:
+            return frame_of(value)
+        if needed:
+            raise KrlError(RunMessage.VALUE_INVALID, f"{name} value invalid: set it with BAS before the first motion")
+        return Frame()
+
+    def _percent(self, name: str, *, first_only: bool) -> float:
+        array = self._variables.read(name)
+        values: list[float] = []
+        for axis in (1,) if first_only else range(1, 7):
+            value = array.get((axis,))
+            if value is None:
+                text = f"{name}[{axis}] value invalid: set it with BAS(#INITMOV,0) before the first motion"
+                raise KrlError(RunMessage.VALUE_INVALID, text)
+            values.append(float(value))
+        return min(values)
+
+    def _limits(self) -> PathLimits:
+        speeds, accelerations = self._variables.read("$VEL"), self._variables.read("$ACC")
+
+        def member(structure: Value, name: str, shown: str) -> float:
+            value = structure.fields.get(name) if isinstance(structure, StructValue) else None
+            if value is None:
+                text = f"{shown}.{name} value invalid: set it with BAS(#INITMOV,0) before the first motion"
+                raise KrlError(RunMessage.VALUE_INVALID, text)
+            return float(value)
+
+        return PathLimits(
+            member(speeds, "CP", "$VEL"),
+            member(accelerations, "CP", "$ACC"),
+            member(speeds, "ORI1", "$VEL"),
+            member(accelerations, "ORI1", "$ACC"),
+        )
+
+    # --- plans --------------------------------------------------------------------------------------------------
+
+    def plan(self, order: MoveOrder, start: Axes) -> Planned:
+        """Return the plan of a motion that begins at ``start``.  Raises KrlError with the controller's message."""
+        kind, _, relative = order.kind.partition("_")
+        if self.needs_axis_motion and kind not in _POINT_TO_POINT:
+            text = f"{order.kind}: the first motion after a program is selected has to be a PTP or SPTP"
+            raise KrlError(RunMessage.FIRST_MOTION, text)
+        target = order.points[-1]
+        if not isinstance(target, StructValue) or not target.fields:
+            raise KrlError(RunMessage.VALUE_INVALID, f"{order.kind}: {text_of(target)} is no position")
+        is_axes = any(name in target.fields for name in AXIS_FIELDS)
+        needed = not is_axes
+        tool, base = self._frame("$TOOL", needed=needed), self._frame("$BASE", needed=needed)
+        try:
+            if kind in _POINT_TO_POINT:
+                trajectory = self._plan_ptp(order, target, start, tool, base, relative=bool(relative))
+            else:
+                trajectory = self._plan_path(order, kind, start, tool, base, relative=bool(relative))
+        except MotionError as error:
+            raise KrlError(error.number, error.text) from error
+        except ArmError as error:
+            motion_error = as_motion_error(error)
+            raise KrlError(motion_error.number, motion_error.text) from error
+        self.needs_axis_motion = False
+        return Planned(trajectory, tool, base)
+
+    def plan_return(self, start: Axes, target: Axes) -> Trajectory:
+        """Return the way back to an interrupted path."""
+        return plan_ptp(self.arm, start, target, speed_percent=10.0)
+
+    def _plan_ptp(
+        self, order: MoveOrder, target: StructValue, start: Axes, tool: Frame, base: Frame, *, relative: bool
+    ) -> Trajectory:
+        first_only = "$VEL_AXIS" in order.settings and order.kind.startswith("S")
+        speed = self._percent("$VEL_AXIS", first_only=first_only)
+        acceleration = self._percent("$ACC_AXIS", first_only="$ACC_AXIS" in order.settings and first_only)
+        return plan_ptp(
+            self.arm,
+            start,
+            self.axes_of(target, start, tool, base, relative=relative, reference=order.reference),
+            speed_percent=speed,
+            acceleration_percent=acceleration,
+            tool=tool,
+        )
+
+    def axes_of(
+        self,
+        target: StructValue,
+        start: Axes,
+        tool: Frame,
+        base: Frame,
+        *,
+        relative: bool = False,
+        reference: str = "",
+    ) -> Axes:
+        """Return the axes of a position.  Raises ArmError if the arm cannot take it."""
+        fields = target.fields
+        if any(name in fields for name in AXIS_FIELDS):
+            given: list[Value] = [fields.get(name) for name in AXIS_FIELDS]
+            if relative:
+                axes = [start[i] + float(given[i] or 0.0) for i in range(6)]
+            else:
+                axes = [start[i] if given[i] is None else float(given[i]) for i in range(6)]
+            return (axes[0], axes[1], axes[2], axes[3], axes[4], axes[5])
+        frame = self.frame_in_base(target, start, tool, base, relative=relative, reference=reference)
+        status, turn = fields.get("S"), fields.get("T")
+        return self.arm.inverse(
+            base @ frame @ tool.inverse(),
+            near=start,
+            # without a status the controller keeps that of the start
+            status=status if isinstance(status, int) else self.arm.status_turn(start)[0],
+            turn=turn if isinstance(turn, int) else None,
+        )
+
+    def frame_in_base(
+        self, target: StructValue, start: Axes, tool: Frame, base: Frame, *, relative: bool, reference: str
+    ) -> Frame:
+        """Return a Cartesian target in the base, what it leaves out taken from ``start``."""
+        fields = target.fields
+        complete = all(fields.get(name) is not None for name in FRAME_FIELDS)
+        if complete and not relative:
+            return frame_of(target)
+        now = base.inverse() @ self.arm.forward(start) @ tool
+        if not relative:
+            known = now.as_tuple()
+            return Frame(*(known[i] if fields.get(n) is None else float(fields[n]) for i, n in enumerate(FRAME_FIELDS)))
+        shift = frame_of(target)
+        if reference == "TOOL":
+            return now @ shift
+        turned = Frame(0, 0, 0, shift.a_deg, shift.b_deg, shift.c_deg) @ Frame(0, 0, 0, now.a_deg, now.b_deg, now.c_deg)
+        return Frame(
+            now.x_mm + shift.x_mm,
+            now.y_mm + shift.y_mm,
+            now.z_mm + shift.z_mm,
+            turned.a_deg,
+            turned.b_deg,
+            turned.c_deg,
+        )
+
+    def _plan_path(
+        self, order: MoveOrder, kind: str, start: Axes, tool: Frame, base: Frame, *, relative: bool
+    ) -> Trajectory:
+        limits = self._limits()
+
+        def in_root(point: Value) -> Frame:
+            if not isinstance(point, StructValue) or not point.fields:
+                raise KrlError(RunMessage.VALUE_INVALID, f"{order.kind}: {text_of(point)} is no position")
+            if any(name in point.fields for name in AXIS_FIELDS):
+                return self.arm.forward(self.axes_of(point, start, tool, base, relative=relative)) @ tool
+            return base @ self.frame_in_base(point, start, tool, base, relative=relative, reference=order.reference)
+
+        target = in_root(order.points[-1])
+        if kind in _CIRCLES:
+            if len(order.points) != 2:
+                raise KrlError(RunMessage.ARGUMENTS, f"{order.kind} needs an auxiliary point and an end point")
+            return plan_circ(
+                self.arm,
+                start,
+                in_root(order.points[0]),
+                target,
+                limits,
+                tool=tool,
+                circular_angle_deg=order.angle_deg,
+            )
+        return plan_lin(self.arm, start, target, limits, tool=tool)
+
+    # --- approximation and triggers -----------------------------------------------------------------------------
+
+    def blend_s(self, order: MoveOrder, before: Trajectory, after: Trajectory) -> float:
+        """Return how long before its end a motion passes into the next one."""
+        settings = self._variables.read("$APO")
+        fields = settings.fields if isinstance(settings, StructValue) else {}
+        half = min(before.duration_s, after.duration_s) / 2
+        if order.approximation[0] == "C_PTP":
+            return half * min(1.0, float(fields.get("CPTP") or 0.0) / 100.0)
+        if order.approximation[0] == "C_VEL":
+            return half * (1.0 - min(1.0, float(fields.get("CVEL") or 100.0) / 100.0))
+        distance_mm = float(fields.get("CDIS") or 0.0)
+        end = self.arm.forward_pose(before.end_axes).position
+        time_s = 0.0
+        while time_s + INTERPOLATION_TICK_S <= half:
+            here = self.arm.forward_pose(before.axes_at(before.duration_s - time_s - INTERPOLATION_TICK_S)).position
+            if sum((here[i] - end[i]) ** 2 for i in range(3)) > distance_mm * distance_mm:
+                break
+            time_s += INTERPOLATION_TICK_S
+        return time_s
+
+    def trigger_time_s(self, trajectory: Trajectory, kind: str, trigger: "TriggerOrder") -> float:
+        """Return when in its motion a trigger fires; before the start counts as the start."""
+        at_start = trigger.on_start or (kind == "DISTANCE" and trigger.position == 0.0)
+        time_s = 0.0 if at_start else trajectory.duration_s
+        if kind == "PATH" and trigger.position:
+            time_s = self._time_at_path(trajectory, trigger.position, from_start=trigger.on_start)
+        return max(0.0, time_s + trigger.delay_s)
+
+    def _time_at_path(self, trajectory: Trajectory, offset_mm: float, *, from_start: bool) -> float:
+        """Return when the path is so far behind its start, or (negative) before its end."""
+        steps = max(1, round(trajectory.duration_s / INTERPOLATION_TICK_S))
+        times = [trajectory.duration_s * i / steps for i in range(steps + 1)]
+        points = [self.arm.forward_pose(trajectory.axes_at(t)).position for t in times]
+        lengths = [0.0]
+        for a, b in itertools.pairwise(points):
+            lengths.append(lengths[-1] + sum((a[i] - b[i]) ** 2 for i in range(3)) ** 0.5)
+        wanted = offset_mm if from_start else lengths[-1] + offset_mm
+        for time_s, length in zip(times, lengths, strict=True):
+            if length >= wanted:
+                return time_s
+        return trajectory.duration_s
