@@ -203,13 +203,14 @@ class MotionPlanner:
             return (axes[0], axes[1], axes[2], axes[3], axes[4], axes[5])
         frame = self.frame_in_base(target, start, tool, base, relative=relative, reference=reference)
         status, turn = fields.get("S"), fields.get("T")
-        return self.arm.inverse(
-            base @ frame @ tool.inverse(),
-            near=start,
-            # without a status the controller keeps that of the start
-            status=status if isinstance(status, int) else self.arm.status_turn(start)[0],
-            turn=turn if isinstance(turn, int) else None,
-        )
+        flange = base @ frame @ tool.inverse()
+        if isinstance(status, int):
+            return self.arm.inverse(flange, near=start, status=status, turn=turn if isinstance(turn, int) else None)
+        # a target without a status is taken with that of the start; where that is impossible, the nearest way
+        try:
+            return self.arm.inverse(flange, near=start, status=self.arm.status_turn(start)[0])
+        except ArmError:
+            return self.arm.inverse(flange, near=start)
 
     def frame_in_base(
         self, target: StructValue, start: Axes, tool: Frame, base: Frame, *, relative: bool, reference: str
