@@ -6,7 +6,8 @@ from slabcell.calibration.detection import Detection, detect_board, detect_board
 from slabcell.calibration.file import from_document as calibration_from_document
 from slabcell.calibration.file import load_calibration, save_calibration
 from slabcell.calibration.file import to_document as calibration_to_document
-from slabcell.calibration.model import Calibration, CameraIdentity, Lens, TablePlane
+from slabcell.calibration.handeye import HandEyeMethod, HandEyeResult, Mount, RobotPose, calibrate_hand_eye, load_poses
+from slabcell.calibration.model import Calibration, CameraIdentity, HandEye, Lens, TablePlane
 from slabcell.calibration.plane import PlaneResult, calibrate_plane
 from slabcell.calibration.touch import Touch, TouchFit, load_touch
 
@@ -16,19 +17,26 @@ __all__ = [
     "CameraIdentity",
     "CameraResult",
     "Detection",
+    "HandEye",
+    "HandEyeMethod",
+    "HandEyeResult",
     "Lens",
     "LensModel",
+    "Mount",
     "PlaneResult",
+    "RobotPose",
     "TablePlane",
     "Touch",
     "TouchFit",
     "calibrate_camera",
+    "calibrate_hand_eye",
     "calibrate_plane",
     "calibration_from_document",
     "calibration_to_document",
     "detect_board",
     "detect_boards",
     "load_calibration",
+    "load_poses",
     "load_touch",
     "save_calibration",
 ]

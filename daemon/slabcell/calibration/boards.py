@@ -109,6 +109,8 @@ class Board:
     @property
     def turns_alike(self) -> bool:
         """Whether the board looks the same after half a turn, so that its origin has to be chosen by convention."""
+        if self.kind == "circles":
+            return self.rows % 2 == 0
         return self.kind == "checkerboard" and (self.columns + self.rows) % 2 == 0
 
     def __str__(self) -> str:

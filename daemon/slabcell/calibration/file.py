@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slabcell.calibration.model import Calibration, CameraIdentity, Lens, TablePlane
+from slabcell.calibration.model import Calibration, CameraIdentity, HandEye, Lens, TablePlane
 from slabcell.errors import CalibrationError
 from slabcell.geometry import Points
 
@@ -29,7 +29,7 @@ ROTATION_TOLERANCE = 1e-6
 REMEDY = "make it again with `slabcell calibrate`, or restore the file from a backup"
 
 _LENGTHS = {"brown": (4, 5, 8, 12, 14), "fisheye": (4,)}
-_KEYS = {"schema", "created", "camera", "lens", "plane", "diagnostics"}
+_KEYS = {"schema", "created", "camera", "lens", "plane", "hand_eye", "diagnostics"}
 
 
 def save_calibration(path: Path, calibration: Calibration) -> None:
@@ -72,7 +72,7 @@ def load_calibration(path: Path) -> Calibration:
 
 def to_document(calibration: Calibration) -> dict[str, object]:
     """Return the ``slabcell.calibration/1`` object."""
-    camera, lens, plane = calibration.camera, calibration.lens, calibration.plane
+    camera, lens, plane, hand_eye = calibration.camera, calibration.lens, calibration.plane, calibration.hand_eye
     return {
         "schema": SCHEMA,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -91,6 +91,13 @@ def to_document(calibration: Calibration) -> dict[str, object]:
             "rotation": plane.rotation.tolist(),
             "translation_mm": plane.translation.ravel().tolist(),
             "adjustment": plane.adjustment.tolist(),
+        },
+        "hand_eye": None
+        if hand_eye is None
+        else {
+            "mount": hand_eye.mount,
+            "rotation": hand_eye.rotation.tolist(),
+            "translation_mm": hand_eye.translation.ravel().tolist(),
         },
         "diagnostics": calibration.diagnostics,
     }
@@ -171,8 +178,9 @@ def from_document(document: object, source: str) -> Calibration:
         )
     diagnostics = dict(top.table("diagnostics").values) if "diagnostics" in top.values else dict[str, object]()
     plane = _plane(top.table("plane")) if top.values.get("plane") is not None else None
+    hand_eye = _hand_eye(top.table("hand_eye")) if top.values.get("hand_eye") is not None else None
     identity = _identity(top.table("camera"))
-    return Calibration(identity, _lens(top.table("lens"), identity), plane, diagnostics)
+    return Calibration(identity, _lens(top.table("lens"), identity), plane, diagnostics, hand_eye)
 
 
 def _identity(table: _Table) -> CameraIdentity:
@@ -214,3 +222,12 @@ def _plane(table: _Table) -> TablePlane:
     if not 0.5 < determinant < 2.0 or np.abs(adjustment[:, :2] - np.eye(2)).max() > 0.5:
         raise table.wrong("adjustment", table.get("adjustment"), "close to the identity")
     return TablePlane(rotation, translation, adjustment)
+
+
+def _hand_eye(table: _Table) -> HandEye:
+    mount = table.get("mount")
+    if mount not in ("eye-to-hand", "eye-in-hand"):
+        raise table.wrong("mount", mount, "'eye-to-hand' or 'eye-in-hand'")
+    rotation = table.rotation("rotation")
+    translation = table.array("translation_mm", ((3,),), MAX_DISTANCE_MM)
+    return HandEye("eye-to-hand" if mount == "eye-to-hand" else "eye-in-hand", rotation, translation)

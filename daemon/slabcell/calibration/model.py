@@ -18,7 +18,7 @@ import numpy.typing as npt
 from slabcell.errors import CalibrationError
 from slabcell.geometry import Points
 
-__all__ = ["Calibration", "CameraIdentity", "Lens", "TablePlane"]
+__all__ = ["Calibration", "CameraIdentity", "HandEye", "Lens", "TablePlane"]
 
 Matrix = npt.NDArray[np.float64]
 
@@ -58,13 +58,29 @@ class TablePlane:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class HandEye:
+    """Where the camera sits: in the robot's base (eye-to-hand) or on its flange (eye-in-hand).
+
+    X_parent = rotation·X_camera + translation (mm), the parent being base or flange.
+    """
+
+    mount: Literal["eye-to-hand", "eye-in-hand"]
+    rotation: Matrix
+    translation: npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """Lens, table plane and what they were made from.  ``plane`` is None until `slabcell calibrate plane` has run."""
+    """Lens, table plane and what they were made from.
+
+    ``plane`` is None until `slabcell calibrate plane` has run, ``hand_eye`` until `slabcell calibrate hand-eye` has.
+    """
 
     camera: CameraIdentity
     lens: Lens
     plane: TablePlane | None = None
     diagnostics: dict[str, object] = field(default_factory=dict[str, object])
+    hand_eye: HandEye | None = None
 
     def require_plane(self) -> TablePlane:
         """Return the plane, or raise CalibrationError that says how to get one."""

@@ -14,12 +14,17 @@ from slabcell.calibration import (
     Board,
     CameraResult,
     Detection,
+    HandEyeMethod,
+    HandEyeResult,
     LensModel,
+    Mount,
     PlaneResult,
     calibrate_camera,
+    calibrate_hand_eye,
     calibrate_plane,
     detect_boards,
     load_calibration,
+    load_poses,
     load_touch,
     save_calibration,
 )
@@ -117,6 +122,56 @@ def plane_command(
         typer.echo(json.dumps(_plane_document(result, out, failures)))
     else:
         _print_plane(result, out, failures)
+
+
+@calibrate_app.command("hand-eye")
+def hand_eye_command(
+    images: Images,
+    calibration: CalibrationFile,
+    board: BoardText,
+    poses: Annotated[
+        Path,
+        typer.Option(
+            "--poses",
+            metavar="POSES.csv",
+            help="image,X,Y,Z,A,B,C: flange in the base, mm, degrees, R = Rz(A) Ry(B) Rx(C).",
+        ),
+    ],
+    mount: Annotated[
+        Mount,
+        typer.Option("--mount", help="eye-to-hand: the flange holds the board. eye-in-hand: it holds the camera."),
+    ],
+    out: Out,
+    method: Annotated[HandEyeMethod, typer.Option("--method", help="How it is solved.")] = "joint",
+    robot_mm: Annotated[
+        float | None,
+        typer.Option(
+            "--robot-mm", min=1e-4, max=100, help="Standard deviation of a robot pose, mm; estimated if not given."
+        ),
+    ] = None,
+    robot_deg: Annotated[
+        float | None,
+        typer.Option(
+            "--robot-deg", min=1e-5, max=45, help="Standard deviation of a robot pose, degrees; estimated if not given."
+        ),
+    ] = None,
+    *,
+    as_json: AsJson = False,
+) -> None:
+    """Find where the camera sits, from pictures of a board and the robot's pose at each; 15 are good."""
+    before = load_calibration(calibration)
+    shown = Board.parse(board)
+    known = load_poses(poses)
+    detections, failures = _detect(images, shown, quiet=as_json)
+    result = calibrate_hand_eye(
+        before, detections, known, shown, mount, method=method, robot_mm=robot_mm, robot_deg=robot_deg
+    )
+    save_calibration(out, result.calibration)
+    if as_json:
+        document = {"schema": "slabcell.calibrate-hand-eye/1", "out": str(out), **result.to_document()}
+        typer.echo(json.dumps({**document, "not_found": failures}))
+    else:
+        _print_hand_eye(result, out, failures)
 
 
 def _detect(paths: Sequence[Path], board: Board, *, quiet: bool) -> tuple[list[Detection], list[str]]:
@@ -224,6 +279,47 @@ def _print_plane(result: PlaneResult, out: Path, failures: Sequence[str]) -> Non
             f" {fit.holdout_mm:.3f} mm, robot's scale {fit.scale_ppm:+.0f} ppm",
             highlight=False,
         )
+    _print_end(console, [*failures, *result.warnings], out)
+
+
+def _print_hand_eye(result: HandEyeResult, out: Path, failures: Sequence[str]) -> None:
+    console = Console()
+    table = Table("Picture", "Off by px", "mm", "°", "")
+    for r in result.stations:
+        gone = r.name in result.left_out
+        table.add_row(
+            Path(r.name).name, f"{r.px:.2f}", f"{r.mm:.3f}", f"{r.deg:.3f}", "left out" if gone else "",
+            style="yellow" if gone else None,
+        )  # fmt: skip
+    console.print(table)
+    to_hand = result.mount == "eye-to-hand"
+    frames = {
+        "camera in the base" if to_hand else "camera on the flange": result.camera,
+        "board on the flange" if to_hand else "board in the base": result.board,
+    }
+    if result.table is not None:
+        frames["table in the base"] = result.table
+    places = Table("", "X mm", "Y mm", "Z mm", "A °", "B °", "C °")
+    for name, frame in frames.items():
+        places.add_row(name, *(f"{v:.3f}" for v in frame))
+    console.print(places)
+    quality = (
+        f"hold-out: {result.holdout_px:.2f} px, {result.holdout_mm:.3f} mm; spread of the result "
+        f"{result.spread_mm:.3f} mm,"
+        f" {result.spread_deg:.4f}°"
+    )
+    agreement = (
+        f"robot against camera: {result.angle_disagreement_deg:.3f}° in angles, {result.axis_disagreement_mm:.3f} mm "
+        "along"
+        f" axes, scale {result.scale:.5f} ± {result.scale_std:.5f}"
+    )
+    lines = [quality, agreement]
+    if result.robot_mm is not None and result.robot_deg is not None:
+        lines.append(
+            f"noise of a robot pose: {result.robot_mm:.3f} mm, {result.robot_deg:.4f}° (one standard deviation)"
+        )
+    for line in lines:
+        console.print(line, highlight=False)
     _print_end(console, [*failures, *result.warnings], out)
 
 

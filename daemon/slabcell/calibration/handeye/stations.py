@@ -1,0 +1,177 @@
+"""What does a hand-eye calibration start from?  Stations: a robot pose, and the board as the camera saw it there.
+
+POSES.csv has a header ``image,X,Y,Z,A,B,C`` and a line for each picture: the pose of the flange (or tool) in the
+robot's base, X Y Z in mm, A B C in degrees, R = Rz(A)·Ry(B)·Rx(C) as KUKA shows it.
+"""
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from slabcell.calibration.detection import Detection
+from slabcell.calibration.handeye.motion import Array, hat, inverse, kuka_matrix, rigid
+from slabcell.calibration.model import Calibration
+from slabcell.calibration.projection import board_pose, project, rms_length
+from slabcell.errors import CalibrationError
+
+__all__ = ["Mount", "RobotPose", "Stations", "load_poses", "make_stations"]
+
+Mount = Literal["eye-to-hand", "eye-in-hand"]
+
+MAX_BYTES = 1 << 20
+MAX_POSES = 2000
+MAX_MM = 1e5
+MAX_DEG = 720.0
+NOISE_FLOOR_PX = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class RobotPose:
+    """Where the robot was for one picture: X Y Z in mm, A B C in degrees."""
+
+    image: str
+    frame: tuple[float, float, float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stations:
+    """n stations.
+
+    ``frames`` (n, 6): the robot poses as given; ``robot`` (n, 4, 4): flange in the base.  ``boards`` (n, 4, 4): board
+    in the camera.  ``information`` (n, 6, 6): what the pixels know about each board's pose, for a twist applied in the
+    camera's frame (rad, mm).
+    """
+
+    names: tuple[str, ...]
+    frames: Array
+    robot: Array
+    boards: Array
+    information: Array
+    view_rms_px: Array
+    detections: tuple[Detection, ...]
+    calibration: Calibration
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def hands(self, mount: Mount) -> Array:
+        """Return the motions H (n, 4, 4) with H·X·board = constant, X the camera's place for this mount."""
+        return self.robot if mount == "eye-in-hand" else inverse(self.robot)
+
+    def part(self, keep: Sequence[int]) -> "Stations":
+        """Return some of the stations."""
+        index = np.asarray(keep, dtype=np.int64)
+        return Stations(
+            tuple(self.names[i] for i in keep),
+            self.frames[index],
+            self.robot[index],
+            self.boards[index],
+            self.information[index],
+            self.view_rms_px[index],
+            tuple(self.detections[i] for i in keep),
+            self.calibration,
+        )
+
+
+def make_stations(calibration: Calibration, detections: Sequence[Detection], poses: Sequence[RobotPose]) -> Stations:
+    """Return the stations of the pictures whose robot pose is known.  Raises CalibrationError for one without."""
+    by_name = _by_name(poses)
+    robot: list[tuple[float, ...]] = []
+    boards: list[Array] = []
+    information: list[Array] = []
+    rms: list[float] = []
+    for view in detections:
+        calibration.require_size(view.width, view.height, view.name)
+        pose = by_name.get(view.name) or by_name.get(Path(view.name).name)
+        if pose is None:
+            raise CalibrationError(
+                f"{view.name}: no robot pose is given for this picture: add its line to the poses file"
+            )
+        seen = board_pose(view.points_mm, view.pixels, calibration.lens)
+        pixels, by_pose, _ = project(view.points_mm, seen, calibration.lens)
+        turn, _ = cv2.Rodrigues(seen[:3])
+        turn = np.asarray(turn, np.float64)
+        points = view.points_mm @ turn.T + seen[3:]
+        by_point = by_pose[:, 3:].reshape(-1, 2, 3)
+        by_twist = np.concatenate([by_point @ -hat(points), by_point], axis=2).reshape(-1, 6)
+        residual = rms_length(view.pixels - pixels)
+        noise_px = max(residual / np.sqrt(2.0), NOISE_FLOOR_PX)
+        robot.append(pose.frame)
+        boards.append(rigid(turn, seen[3:]))
+        information.append(by_twist.T @ by_twist / noise_px**2)
+        rms.append(residual)
+    if not boards:
+        raise CalibrationError("no picture shows the board: a hand-eye calibration needs at least 3, better 15")
+    return Stations(
+        tuple(v.name for v in detections),
+        np.array(robot, dtype=np.float64),
+        kuka_matrix(np.array(robot)),
+        np.array(boards),
+        np.array(information),
+        np.array(rms),
+        tuple(detections),
+        calibration,
+    )
+
+
+def _by_name(poses: Sequence[RobotPose]) -> dict[str, RobotPose]:
+    found: dict[str, RobotPose] = {}
+    for pose in poses:
+        if pose.image in found:
+            raise CalibrationError(f"the poses file names {pose.image} twice: each picture has one robot pose")
+        found[pose.image] = pose
+    return found
+
+
+def load_poses(path: Path) -> list[RobotPose]:
+    """Return the robot poses of a CSV file.  Raises CalibrationError that names file, line and column."""
+    try:
+        with path.open("rb") as stream:
+            raw = stream.read(MAX_BYTES + 1)
+        text = raw.decode("utf-8-sig")
+    except OSError as error:
+        raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise CalibrationError(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8") from error
+    if len(raw) > MAX_BYTES:
+        raise CalibrationError(f"{path}: is larger than {MAX_BYTES} bytes, which no list of poses is")
+    numbered = [
+        (n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if not numbered or len(numbered) > MAX_POSES + 1:
+        raise CalibrationError(f"{path}: holds {len(numbered)} lines; a header and 3 to {MAX_POSES} poses are needed")
+    delimiter = max(",;\t", key=numbered[0][1].count)
+    try:
+        rows = [next(csv.reader(io.StringIO(line), delimiter=delimiter, strict=True)) for _, line in numbered]
+    except csv.Error as error:
+        raise CalibrationError(f"{path}: is not CSV: {error}") from error
+    header = [name.strip().lower() for name in rows[0]]
+    if header != ["image", "x", "y", "z", "a", "b", "c"]:
+        raise CalibrationError(
+            f"{path}: the header is {','.join(rows[0])[:200]!r}; it must be image,X,Y,Z,A,B,C (mm, and degrees with"
+            " R = Rz(A)·Ry(B)·Rx(C))"
+        )
+    return [_pose(row, f"{path}: line {number}") for (number, _), row in zip(numbered[1:], rows[1:], strict=True)]
+
+
+def _pose(row: Sequence[str], where: str) -> RobotPose:
+    if len(row) != 7:
+        raise CalibrationError(f"{where} has {len(row)} values; image,X,Y,Z,A,B,C are 7")
+    values: list[float] = []
+    for key, text in zip("XYZABC", row[1:], strict=True):
+        limit = MAX_MM if key in "XYZ" else MAX_DEG
+        try:
+            value = float(text.strip())
+        except ValueError:
+            value = np.nan
+        if not abs(value) <= limit:
+            raise CalibrationError(f"{where}: {key} = {text.strip()[:40]!r} is not a number within ±{limit:g}")
+        values.append(value)
+    x, y, z, a, b, c = values
+    return RobotPose(row[0].strip(), (x, y, z, a, b, c))
