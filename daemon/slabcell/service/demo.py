@@ -31,7 +31,7 @@ from slabcell.errors import ConfigurationError, SlabcellError, UsageError
 from slabcell.geometry import Polygon
 from slabcell.recipe import Recipe, load_recipe
 from slabcell.service.config import CellConfig, load_config
-from slabcell.service.simulated import SimulatedCell, calibrate_from_boards
+from slabcell.service.simulated import Picture, SimulatedCell, calibrate_from_boards
 from slabcell.vision.overlay import draw_overlay
 from slabcell_drivers.camera import ImageFrame
 from slabcell_drivers.krc import RunResult
@@ -301,11 +301,9 @@ def _failure(placement: Placement) -> str:
     return ""
 
 
-def _write_files(
-    out: Path, document: Document, before: npt.NDArray[np.uint8], after: npt.NDArray[np.uint8], run: _Run
-) -> dict[str, str]:
+def _write_files(out: Path, document: Document, before: Picture, after: Picture, run: _Run) -> dict[str, str]:
     """Write the pictures and the document; return the paths by what they are."""
-    pictures = {"before": before, "after": after}
+    pictures: dict[str, Picture] = {"before": before, "after": after}
     if run.seen is not None:
         pictures["overlay"] = run.seen
     paths = {"folder": str(out), "bundles": str(out / "bundles"), "calibration": str(out / "calibration.json")}
@@ -317,7 +315,7 @@ def _write_files(
     return paths
 
 
-def _encode(picture: npt.NDArray[np.uint8]) -> bytes:
+def _encode(picture: Picture) -> bytes:
     done, encoded = cv2.imencode(".png", picture)
     if not done:
         msg = f"a picture of {picture.shape[1]}x{picture.shape[0]} pixels could not be encoded as PNG"

@@ -29,7 +29,9 @@ from slabcell_drivers.robot import Frame
 from slabcell_drivers.robot.arm import ArmModel
 from slabcell_drivers.simulation import Scene, World, camera_views, plane_views, render_board, render_world
 
-__all__ = ["GripperWires", "SimulatedCell", "calibrate_from_boards", "shipped_programs"]
+__all__ = ["GripperWires", "Picture", "SimulatedCell", "calibrate_from_boards", "shipped_programs"]
+
+Picture = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 
 CHANNEL = "SlabCell"
 TOOL_NUMBER, PICK_BASE_NUMBER, PLACE_BASE_NUMBER = 1, 1, 2
@@ -89,8 +91,8 @@ class SimulatedCell:
         info = CameraInfo(spec.vendor, spec.model, spec.serial, spec.width, spec.height, "Mono8")
         self.camera = SimulatedCamera(info, self.picture)
 
-    def picture(self, frame_number: int) -> npt.NDArray[np.uint8]:
-        """Return what the camera sees now, shape (height, width) uint8."""
+    def picture(self, frame_number: int) -> Picture:
+        """Return what the camera sees now, shape (height, width)."""
         with self._lock:
             return render_world(self.world, frame_number)
 
@@ -127,7 +129,7 @@ def calibrate_from_boards(
     """
     board = Board.parse(scene.board.name)
 
-    def pictures(kind: str, poses: Iterable[Frame]) -> Iterable[tuple[str, npt.NDArray[np.uint8]]]:
+    def pictures(kind: str, poses: Iterable[Frame]) -> Iterable[tuple[str, Picture]]:
         for index, pose in enumerate(poses):
             picture = render_board(scene.camera, scene.optics, scene.board, pose, seed=1000 * seed + index)
             yield f"{kind} {index + 1}", picture
