@@ -76,7 +76,7 @@ class ArmModel:
         Where the wrist or shoulder is singular, A4 or A1 is taken from ``near`` (0 without).
         """
         reference = near or ALL_ZERO
-        found = [axes for branch in self._branches(flange, reference) for axes in self._expand(branch)]
+        found = [axes for _, branch in self._branches(flange, reference, None) for axes in self._expand(branch)]
         found.sort(key=lambda axes: self.travel_time_s(reference, axes))
         return found
 
@@ -89,27 +89,18 @@ class ArmModel:
         configuration, ``turn`` to one sign of each axis.  Raises ArmError: out of reach, or an axis beyond its limit.
         """
         reference = near or ALL_ZERO
-        branches = self._branches(flange, reference)
-        if not branches:
-            raise self._unreachable(flange)
-        if status is not None:
-            wanted = status & ALL_STATUS_BITS
-            branches = [branch for branch in branches if self.status_turn(branch)[0] == wanted]
-            if not branches:
-                message = (
-                    f"{self.name}: {_describe(flange)} cannot be reached with status {status}; choose another status"
-                )
-                raise ArmError(message, ArmFault.UNREACHABLE)
-        candidates = [axes for branch in branches for axes in self._expand(branch)]
-        if not candidates:
-            raise self._beyond_limit(flange, branches)
-        if turn is not None:
-            matching = [axes for axes in candidates if self._turn_agrees(axes, turn)]
-            if not matching:
-                raise self._beyond_turn(flange, candidates, turn)
-            exact = [axes for axes in matching if self.status_turn(axes)[1] == turn]
-            candidates = exact or matching
-        return min(candidates, key=lambda axes: self.travel_time_s(reference, axes))
+        branches = self._branches(flange, reference, status)
+        best, best_time = None, math.inf
+        for _, branch in branches:
+            axes = self._turned(branch, reference, turn)
+            if axes is None:
+                continue
+            time_s = self.travel_time_s(reference, axes)
+            if time_s < best_time:
+                best, best_time = axes, time_s
+        if best is None:
+            raise self._refusal(flange, reference, branches, status, turn)
+        return best
 
     def reachable(self, flange: Frame | Pose, *, status: int | None = None) -> bool:
         """Tell whether the flange can be brought there within the axis limits."""
@@ -159,25 +150,69 @@ class ArmModel:
         """Return how long the slowest axis needs at full speed, ramps left out: a measure of nearness."""
         return max(abs(end[i] - start[i]) / self.axis_speed_deg_s[i] for i in range(6))
 
-    def _branches(self, flange: Frame | Pose, reference: Axes) -> list[Axes]:
+    def _branches(self, flange: Frame | Pose, reference: Axes, status: int | None) -> list[tuple[int, Axes]]:
         pose = flange if isinstance(flange, Pose) else pose_of_frame(flange)
-        return solve(self.dimensions, pose, a1_if_singular_deg=reference[0], a4_if_singular_deg=reference[3])
+        return solve(
+            self.dimensions,
+            pose,
+            a1_if_singular_deg=reference[0],
+            a4_if_singular_deg=reference[3],
+            status=None if status is None else status & ALL_STATUS_BITS,
+        )
+
+    def _turned(self, branch: Axes, reference: Axes, turn: int | None) -> Axes | None:
+        """Return the branch with the whole turns that bring each axis nearest to the reference, or that ``turn`` asks.
+
+        None if the limits of an axis allow none.  A turn bit is disregarded near zero where no angle has it.
+        """
+        chosen: list[float] = []
+        for i in range(6):
+            angles = self._turns_of(i, branch[i])
+            if turn is not None:
+                negative = bool(turn >> i & 1)
+                fitting = [angle for angle in angles if (angle < 0.0) == negative]
+                angles = fitting or [angle for angle in angles if abs(angle) <= TURN_DISREGARDED_WITHIN_DEG]
+            if not angles:
+                return None
+            target = reference[i]
+            chosen.append(angles[0] if len(angles) == 1 else min(angles, key=lambda angle: abs(angle - target)))
+        return (chosen[0], chosen[1], chosen[2], chosen[3], chosen[4], chosen[5])
+
+    def _turns_of(self, axis: int, angle: float) -> list[float]:
+        """Return the angle with every number of whole turns that the limits of its axis allow."""
+        low, high = self.axis_min_deg[axis] - LIMIT_TOLERANCE_DEG, self.axis_max_deg[axis] + LIMIT_TOLERANCE_DEG
+        found: list[float] = []
+        turned = angle - 360.0 * math.floor((angle - low) / 360.0)
+        while turned <= high:
+            found.append(turned)
+            turned += 360.0
+        return found
 
     def _expand(self, branch: Axes) -> list[Axes]:
         """Return the branch with every number of whole turns on every axis that its limits allow."""
         found: list[list[float]] = [[]]
         for i, value in enumerate(branch):
-            low, high = self.axis_min_deg[i] - LIMIT_TOLERANCE_DEG, self.axis_max_deg[i] + LIMIT_TOLERANCE_DEG
-            first = math.ceil((low - value) / 360.0)
-            last = math.floor((high - value) / 360.0)
-            turned = [value + 360.0 * k for k in range(first, last + 1)]
-            found = [[*head, angle] for head in found for angle in turned]
+            found = [[*head, angle] for head in found for angle in self._turns_of(i, value)]
         return [(a[0], a[1], a[2], a[3], a[4], a[5]) for a in found]
 
-    def _turn_agrees(self, axes: Axes, turn: int) -> bool:
-        return all(
-            (axes[i] < 0.0) == bool(turn >> i & 1) or abs(axes[i]) <= TURN_DISREGARDED_WITHIN_DEG for i in range(6)
-        )
+    def _refusal(
+        self,
+        flange: Frame | Pose,
+        reference: Axes,
+        branches: list[tuple[int, Axes]],
+        status: int | None,
+        turn: int | None,
+    ) -> ArmError:
+        """Return why there are no axis angles."""
+        if not branches:
+            if not self._branches(flange, reference, None):
+                return self._unreachable(flange)
+            message = f"{self.name}: {_describe(flange)} cannot be reached with status {status}; choose another status"
+            return ArmError(message, ArmFault.UNREACHABLE)
+        candidates = [axes for _, branch in branches for axes in self._expand(branch)]
+        if not candidates or turn is None:
+            return self._beyond_limit(flange, [branch for _, branch in branches])
+        return self._beyond_turn(flange, candidates, turn)
 
     def _unreachable(self, flange: Frame | Pose) -> ArmError:
         d = self.dimensions

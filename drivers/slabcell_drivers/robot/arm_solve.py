@@ -107,24 +107,41 @@ def flange_pose(dimensions: Dimensions, axes_deg: Axes) -> Pose:
 
 
 def solve(
-    dimensions: Dimensions, flange: Pose, *, a1_if_singular_deg: float = 0.0, a4_if_singular_deg: float = 0.0
-) -> list[Axes]:
-    """Return up to eight sets of axis angles, each in (-180, 180], limits not regarded; none if out of reach."""
+    dimensions: Dimensions,
+    flange: Pose,
+    *,
+    a1_if_singular_deg: float = 0.0,
+    a4_if_singular_deg: float = 0.0,
+    status: int | None = None,
+) -> list[tuple[int, Axes]]:
+    """Return up to eight sets of axis angles with their status; none if out of reach.
+
+    Angles are in (-180, 180], limits are not regarded.  With ``status`` only that one is computed.
+    """
     d = dimensions
     r = flange.rotation
-    wx, wy, wz = (flange.position[i] - d.flange_mm * r[i][2] for i in range(3))
+    wx = flange.position[0] - d.flange_mm * r[0][2]
+    wy = flange.position[1] - d.flange_mm * r[1][2]
+    wz = flange.position[2] - d.flange_mm * r[2][2] - d.base_height_mm
     radius = math.hypot(wx, wy)
     front = -math.atan2(wy, wx) if radius > SHOULDER_SINGULAR_MM else math.radians(a1_if_singular_deg)
-    found: list[Axes] = []
-    for a1, forward in ((front, radius), (front + math.pi, -radius)):
-        for a2, a3 in _arm(d, forward - d.shoulder_mm, wz - d.base_height_mm):
-            for a4, a5, a6 in _wrist(r, a1, a2 + a3, math.radians(a4_if_singular_deg)):
-                found.append((_deg(a1), _deg(a2), _deg(a3), _deg(a4), _deg(a5), _deg(a6)))
+    a4_if_singular = math.radians(a4_if_singular_deg)
+    found: list[tuple[int, Axes]] = []
+    for behind, a1, forward in ((0, front, radius), (1, front + math.pi, -radius)):
+        if status is not None and status & 1 != behind:
+            continue
+        for elbow, a2, a3 in _arm(d, forward - d.shoulder_mm, wz):
+            if status is not None and status & 2 != elbow:
+                continue
+            for flipped, a4, a5, a6 in _wrist(r, a1, a2 + a3, a4_if_singular):
+                if status is None or status & 4 == flipped:
+                    axes = (_deg(a1), _deg(a2), _deg(a3), _deg(a4), _deg(a5), _deg(a6))
+                    found.append((behind | elbow | flipped, axes))
     return found
 
 
-def _arm(d: Dimensions, x: float, z: float) -> list[tuple[float, float]]:
-    """Return A2 and A3 (radians) that bring the wrist to x, z of the A2 axis: elbow one way, then the other."""
+def _arm(d: Dimensions, x: float, z: float) -> list[tuple[int, float, float]]:
+    """Return A2 and A3 (radians) that bring the wrist to x, z of the A2 axis, each with its bit of the status."""
     upper, fore = d.upper_arm_mm, math.hypot(d.forearm_x_mm, d.forearm_z_mm)
     stretched = math.atan2(d.forearm_z_mm, d.forearm_x_mm)
     distance = math.hypot(x, z)
@@ -137,33 +154,29 @@ def _arm(d: Dimensions, x: float, z: float) -> list[tuple[float, float]]:
     close = max(before, 0.0) * (distance + abs(upper - fore))
     bend = 2.0 * math.atan2(math.sqrt(far), math.sqrt(close))
     direction = math.atan2(-z, x)
-    solutions: list[tuple[float, float]] = []
-    for elbow in (bend, -bend):
-        lead = math.atan2(fore * math.sin(elbow), upper + fore * math.cos(elbow))
-        solutions.append((direction - lead, elbow + stretched))
-    return solutions
+    lead = math.atan2(fore * math.sin(bend), upper + fore * math.cos(bend))
+    return [(2, direction - lead, bend + stretched), (0, direction + lead, stretched - bend)]
 
 
-def _wrist(r: Rotation, a1: float, a23: float, a4_if_singular: float) -> list[tuple[float, float, float]]:
-    """Return A4, A5, A6 (radians) that give the flange this rotation: A5 positive, then negative."""
+def _wrist(r: Rotation, a1: float, a23: float, a4_if_singular: float) -> list[tuple[int, float, float, float]]:
+    """Return A4, A5, A6 (radians) that give the flange this rotation, each with its bit of the status."""
     c1, s1, c23, s23 = math.cos(a1), -math.sin(a1), math.cos(a23), math.sin(a23)
-    # columns of R·Ry(-90°): x is the flange's z, z is minus the flange's x
-    columns: list[Vector] = []
-    for x, y, z in (
-        (r[0][2], r[1][2], r[2][2]),
-        (r[0][1], r[1][1], r[2][1]),
-        (-r[0][0], -r[1][0], -r[2][0]),
-    ):
-        plane_x, plane_y = c1 * x + s1 * y, -s1 * x + c1 * y
-        columns.append((c23 * plane_x - s23 * z, plane_y, s23 * plane_x + c23 * z))
-    (m00, m10, m20), (m01, m11, m21), (m02, _, _) = columns
+    # the columns of R·Ry(-90°), seen from the forearm: x is the flange's z, z is minus the flange's x
+    x, y, z = r[0][2], r[1][2], r[2][2]
+    plane = c1 * x + s1 * y
+    m00, m10, m20 = c23 * plane - s23 * z, c1 * y - s1 * x, s23 * plane + c23 * z
+    x, y, z = r[0][1], r[1][1], r[2][1]
+    plane = c1 * x + s1 * y
+    m01, m11, m21 = c23 * plane - s23 * z, c1 * y - s1 * x, s23 * plane + c23 * z
+    x, y, z = r[0][0], r[1][0], r[2][0]
+    m02 = s23 * z - c23 * (c1 * x + s1 * y)
     sine = math.hypot(m10, m20)
     if sine < WRIST_SINGULAR_SINE and m00 > 0.0:
-        return [(a4_if_singular, 0.0, -math.atan2(m21, m11) - a4_if_singular)]
+        return [(0, a4_if_singular, 0.0, -math.atan2(m21, m11) - a4_if_singular)]
     a5 = math.atan2(sine, m00)
     return [
-        (-math.atan2(m10, -m20), a5, -math.atan2(m01, m02)),
-        (-math.atan2(-m10, m20), -a5, -math.atan2(-m01, -m02)),
+        (0, -math.atan2(m10, -m20), a5, -math.atan2(m01, m02)),
+        (4, -math.atan2(-m10, m20), -a5, -math.atan2(-m01, -m02)),
     ]
 
 
