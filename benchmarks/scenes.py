@@ -28,10 +28,11 @@ from slabcell.recipe import Recipe
 from slabcell.template import Template
 from slabcell_drivers.robot import Frame
 from slabcell_drivers.simulation.boards import board_corners, camera_views, plane_views, render_board
+from slabcell_drivers.simulation.formats import digitise
 from slabcell_drivers.simulation.layout import posed, strew
 from slabcell_drivers.simulation.placement import congruences
 from slabcell_drivers.simulation.projection import Projector
-from slabcell_drivers.simulation.rendering import digitise, irradiance
+from slabcell_drivers.simulation.rendering import irradiance
 from slabcell_drivers.simulation.scene import AssemblySpec, BoardSpec, CameraSpec, Optics, Scene, TableSpec
 from slabcell_drivers.simulation.slab import Slab
 

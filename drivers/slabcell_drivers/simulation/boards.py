@@ -6,21 +6,21 @@ import numpy.typing as npt
 
 from slabcell_drivers.robot.frame import Frame
 from slabcell_drivers.simulation.exposure import FINE, add_blurred, cover_fine, fine_window
+from slabcell_drivers.simulation.formats import Pixels, digitise
 from slabcell_drivers.simulation.projection import Projector
-from slabcell_drivers.simulation.rendering import bare_table, digitise
+from slabcell_drivers.simulation.rendering import bare_table
 from slabcell_drivers.simulation.scene import BoardSpec, CameraSpec, Optics, Scene
 from slabcell_drivers.simulation.surfaces import light_field
 
 __all__ = ["board_corners", "camera_views", "plane_views", "render_board"]
 
-Image = npt.NDArray[np.uint8]
 Points = npt.NDArray[np.float64]
 
 
 def render_board(
     camera: CameraSpec, optics: Optics, board: BoardSpec, pose: Frame, *, seed: int = 0, frame_number: int = 0
-) -> Image:
-    """Return the picture of a board whose frame (see `BoardSpec`) is at ``pose`` in the root, (height, width) uint8."""
+) -> Pixels:
+    """Return the picture of a board whose frame (see `BoardSpec`) is at ``pose`` in the root, shape (height, width)."""
     projector = Projector(camera, FINE)
     image = bare_table(camera, optics, (), seed)
     plane = pose.matrix

@@ -1,75 +1,101 @@
 """What does the camera see?  Pictures of slabs on a table: edges placed exactly, light, shadows, blur and noise."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+import shapely
 
+from slabcell_drivers.robot.frame import Frame
 from slabcell_drivers.simulation.areas import Area
 from slabcell_drivers.simulation.coverage import Window, cover
 from slabcell_drivers.simulation.exposure import FINE, add_blurred, cover_fine, cover_part, fine_window
+from slabcell_drivers.simulation.formats import PixelFormat, Pixels, digitise
 from slabcell_drivers.simulation.projection import Projector, rings
-from slabcell_drivers.simulation.scene import CameraSpec, Optics
+from slabcell_drivers.simulation.scene import CameraSpec, Optics, TableSpec
 from slabcell_drivers.simulation.slab import Slab
-from slabcell_drivers.simulation.surfaces import grain_tile, light_field, sensor_noise, smooth_noise
+from slabcell_drivers.simulation.surfaces import grain_tile, light_field, table_grain
 from slabcell_drivers.simulation.visibility import Face, cast_shadows, footprints, seams, visible_faces
 from slabcell_drivers.simulation.world import World
 
-__all__ = ["bare_table", "digitise", "irradiance", "render_slabs", "render_world"]
+__all__ = ["bare_table", "irradiance", "render_slabs", "render_world"]
 
 GROUND = np.eye(4)
 GRAIN_MM = 0.5  # size of a texture cell on the slab
 SEAM_MM = 0.25  # width of the dark joint between slabs that touch
 
-Image = npt.NDArray[np.uint8]
 Field = npt.NDArray[np.float32]
 
 
 def render_slabs(
-    camera: CameraSpec, optics: Optics, slabs: Sequence[Slab], *, seed: int = 0, frame_number: int = 0
-) -> Image:
-    """Return the picture of slabs on the table z = 0 of the root frame, shape (height, width) uint8.
+    camera: CameraSpec,
+    optics: Optics,
+    slabs: Sequence[Slab],
+    *,
+    seed: int = 0,
+    frame_number: int = 0,
+    table: TableSpec | None = None,
+    pixel_format: PixelFormat = PixelFormat.MONO8,
+) -> Pixels:
+    """Return the picture of slabs on the table z = 0 of the root frame, in a pixel format.
 
-    ``seed`` chooses light and grain, ``frame_number`` the noise.  Raises ValueError if a slab is above the camera.
+    The shape is (height, width), or (height, width, 3) for colour.  ``seed`` chooses light and grain, ``frame_number``
+    the noise; ``table`` gives the board's rim and its marks.  Raises ValueError if a slab is above the camera.
     """
-    return digitise(irradiance(camera, optics, slabs, seed=seed), optics, (seed, frame_number))
+    if pixel_format is PixelFormat.BGR8:
+        tinted = [_tinted(optics, channel) for channel in range(3)]
+        image = np.dstack([irradiance(camera, each, slabs, seed=seed, table=table) for each in tinted])
+    else:
+        image = irradiance(camera, optics, slabs, seed=seed, table=table)
+    return digitise(image, optics, (seed, frame_number), pixel_format)
 
 
-def render_world(world: World, frame_number: int = 0) -> Image:
-    """Return what the scene's camera sees of a world now, shape (height, width) uint8."""
+def render_world(world: World, frame_number: int = 0, pixel_format: PixelFormat = PixelFormat.MONO8) -> Pixels:
+    """Return what the scene's camera sees of a world now, whatever stands in its way included."""
     scene = world.scene
-    return render_slabs(scene.camera, scene.optics, world.slabs, seed=world.seed, frame_number=frame_number)
+    return render_slabs(
+        scene.camera,
+        scene.optics,
+        (*world.slabs, *world.obstructions),
+        seed=world.seed,
+        frame_number=frame_number,
+        table=scene.table,
+        pixel_format=pixel_format,
+    )
 
 
-def irradiance(camera: CameraSpec, optics: Optics, slabs: Sequence[Slab], *, seed: int = 0) -> Field:
+def irradiance(
+    camera: CameraSpec, optics: Optics, slabs: Sequence[Slab], *, seed: int = 0, table: TableSpec | None = None
+) -> Field:
     """Return what falls on the pixels before the sensor adds noise, shape (height, width), in grey levels."""
     projector = Projector(camera, FINE)
-    table = bare_table(camera, optics, slabs, seed)
-    image = table.copy()
+    under = bare_table(camera, optics, slabs, seed, table)
+    image = under.copy()
     if optics.blur_sigma_px > 0:
         cv2.GaussianBlur(image, (0, 0), max(optics.blur_sigma_px, 0.3), dst=image)
-    for slab, faces in _by_slab(visible_faces(slabs, projector.centre)):
-        _add_slab(image, table, slab, faces, projector, optics)
+    bodies = (*slabs, *_marks(table, optics))
+    for slab, faces in _by_slab(visible_faces(bodies, projector.centre)):
+        _add_slab(image, under, slab, faces, projector, optics)
     if optics.seam_shadow > 0:
         _darken_seams(image, slabs, projector, optics)
     image *= light_field(camera.width, camera.height, optics.unevenness, seed)
     return image
 
 
-def digitise(image: Field, optics: Optics, seed: tuple[int, ...]) -> Image:
-    """Return what the sensor makes of it: shot and read noise, 8 bits."""
-    noisy = sensor_noise(image, optics.noise_dn, optics.shot_dn, seed)
-    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
-
-
-def bare_table(camera: CameraSpec, optics: Optics, slabs: Sequence[Slab], seed: int) -> Field:
+def bare_table(
+    camera: CameraSpec, optics: Optics, slabs: Sequence[Slab], seed: int, table: TableSpec | None = None
+) -> Field:
     """Return the table's brightness in the shadows of slabs but without the slabs, shape (height, width)."""
     projector = Projector(camera)
     width, height = camera.width, camera.height
     level = np.full((height, width), optics.table_dn, np.float32)
+    if table is not None and table.board:
+        board = _in_root(np.array(table.board), table.frame)
+        level += (optics.floor_dn - optics.table_dn) * (1.0 - _soft(shapely.Polygon(board), projector, 0.0))
     if optics.table_texture > 0:
-        level *= 1.0 + optics.table_texture * smooth_noise(width, height, seed)
+        level *= 1.0 + optics.table_texture * table_grain(width, height, seed)
     pixel_mm = projector.centre[2] / camera.fx_px
     if optics.cast_shadow > 0 and slabs:
         tilt, origin = np.tan(np.deg2rad(optics.light_tilt_deg)), np.deg2rad(optics.light_from_deg)
@@ -81,6 +107,35 @@ def bare_table(camera: CameraSpec, optics: Optics, slabs: Sequence[Slab], seed: 
     return level
 
 
+def _tinted(optics: Optics, channel: int) -> Optics:
+    slab, table = optics.slab_tint[channel], optics.table_tint[channel]
+    return replace(
+        optics,
+        slab_dn=optics.slab_dn * slab,
+        wall_dn=optics.wall_dn * slab,
+        table_dn=optics.table_dn * table,
+        floor_dn=optics.floor_dn * table,
+    )
+
+
+def _marks(table: TableSpec | None, optics: Optics) -> list[Slab]:
+    """Return the table's marks as slabs without thickness."""
+    if table is None:
+        return []
+    turn = np.linspace(0, 2 * np.pi, 65)[:-1]
+    disc = np.column_stack([np.cos(turn), np.sin(turn)]) * table.mark_radius_mm
+    tone = optics.mark_dn / optics.slab_dn
+    return [
+        Slab(-100 - index, "mark", disc, 0.0, table.frame @ Frame(x, y), tone=tone)
+        for index, (x, y) in enumerate(table.marks)
+    ]
+
+
+def _in_root(points: npt.NDArray[np.float64], frame: Frame) -> npt.NDArray[np.float64]:
+    matrix = frame.matrix
+    return points @ matrix[:2, :2].T + matrix[:2, 3]
+
+
 def _soft(area: Area, projector: Projector, sigma_px: float) -> Field:
     """Return the blurred coverage of an area of the table, shape (height, width)."""
     camera = projector.camera
@@ -88,7 +143,9 @@ def _soft(area: Area, projector: Projector, sigma_px: float) -> Field:
     share = np.zeros((camera.height, camera.width), np.float32)
     window = Window.around(contours, camera.width, camera.height, round(4.0 * sigma_px) + 2)
     if window is not None:
-        share[window.slices] = cv2.GaussianBlur(cover(contours, window), (0, 0), max(sigma_px, 0.3))
+        share[window.slices] = cover(contours, window)
+        if sigma_px > 0.3:
+            share[window.slices] = cv2.GaussianBlur(share[window.slices], (0, 0), sigma_px)
     return share
 
 
@@ -143,7 +200,7 @@ def _upper_face(slab: Slab, window: Window, part: Window, projector: Projector, 
     if optics.slab_texture <= 0:
         return level
     grain = cv2.warpAffine(
-        grain_tile(slab.grain),
+        grain_tile(slab.grain, optics.surface),
         _tile_from_part(slab, window, part, projector),
         (part.width, part.height),
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,

@@ -10,6 +10,7 @@ from typing import cast
 import shapely
 
 from slabcell_drivers.robot.frame import Frame
+from slabcell_drivers.simulation.surfaces import Surface
 from slabcell_drivers.simulation.tables import Outline, SceneError, read_document, read_table
 
 __all__ = [
@@ -38,14 +39,21 @@ class TableSpec:
     """Where the slabs lie at first: the robot's pick base.
 
     ``pick_area`` is a polygon in the table frame; slabs are strewn inside it at least ``clearance_mm`` apart.
+    ``marks`` are the centres, in the table frame, of round light marks on the table; ``board`` is the outline of the
+    dark board that slabs and assembly lie on, beyond which the floor is seen; without it the board is endless.
     """
 
     frame: Frame
     pick_area: Outline
     clearance_mm: float = 4.0
+    marks: Outline = ()
+    mark_radius_mm: float = 2.2
+    board: Outline = ()
 
     def __post_init__(self) -> None:
         _require(shapely.Polygon(self.pick_area).is_valid, "pick_area crosses itself")
+        _require(not self.board or shapely.Polygon(self.board).is_valid, "board crosses itself")
+        _require(0 < self.mark_radius_mm <= 1000, f"mark_radius_mm = {self.mark_radius_mm} is outside 0 to 1000")
         _require(0 <= self.clearance_mm <= 1000, f"clearance_mm = {self.clearance_mm} is outside 0 to 1000")
 
 
@@ -80,7 +88,10 @@ class CameraSpec:
 
 @dataclass(frozen=True, slots=True)
 class Optics:
-    """Light, surfaces, focus and sensor.  Grey levels are of 8 bits; shares are relative."""
+    """Light, surfaces, focus and sensor.  Grey levels are of 8 bits; shares are relative.
+
+    The tints are what a colour camera sees of a surface, relative to its grey level: blue, green, red.
+    """
 
     table_dn: float = 28.0
     slab_dn: float = 175.0
@@ -98,10 +109,17 @@ class Optics:
     slab_texture: float = 0.02
     table_texture: float = 0.05
     seam_shadow: float = 0.5
+    surface: Surface = Surface.PLAIN
+    mark_dn: float = 200.0
+    floor_dn: float = 95.0
+    slab_tint: tuple[float, ...] = (0.9, 0.98, 1.06)
+    table_tint: tuple[float, ...] = (1.05, 1.0, 0.96)
 
     def __post_init__(self) -> None:
         _require(0 <= self.blur_sigma_px <= 20, f"blur_sigma_px = {self.blur_sigma_px} is outside 0 to 20")
         _require(0 <= self.light_tilt_deg <= 80, f"light_tilt_deg = {self.light_tilt_deg} is outside 0 to 80")
+        for name, tint in (("slab_tint", self.slab_tint), ("table_tint", self.table_tint)):
+            _require(len(tint) == 3 and min(tint) >= 0, f"{name} must be three numbers: blue, green, red")
         _require(self.noise_dn >= 0 and self.shot_dn >= 0, "noise_dn and shot_dn must not be negative")
 
 

@@ -10,6 +10,7 @@ import math
 import tomllib
 import typing
 from collections.abc import Mapping
+from enum import EnumType, StrEnum
 from pathlib import Path
 from typing import TypeVar
 
@@ -87,6 +88,12 @@ def _read_value(annotation: object, value: object, where: str) -> object:
             raise SceneError(msg)
         items = typing.cast("list[object]", value)
         return tuple(_read_number(item, f"{where}[{index}]") for index, item in enumerate(items))
+    if isinstance(annotation, EnumType):
+        choices = [str(choice) for choice in typing.cast("type[StrEnum]", annotation)]
+        if value in choices:
+            return typing.cast("type[StrEnum]", annotation)(value)
+        msg = f"{where} = {value!r}: must be one of {', '.join(choices)}"
+        raise SceneError(msg)
     if annotation is float:
         return _read_number(value, where)
     if any(annotation is plain and type(value) is plain for plain in (int, str, bool)):

@@ -19,7 +19,7 @@ from slabcell_drivers.simulation.placement import Placement, measure_placements
 from slabcell_drivers.simulation.scene import Scene
 from slabcell_drivers.simulation.slab import Slab
 
-__all__ = ["Event", "EventKind", "GripperFaults", "World"]
+__all__ = ["Event", "EventKind", "GripperFaults", "World", "strewn_slabs"]
 
 Points = npt.NDArray[np.float64]
 
@@ -72,12 +72,21 @@ class _Held:
 class World:
     """The truth of one simulated cell.  Poses of the tool are of the cup's tip, in the robot's root frame."""
 
-    def __init__(self, scene: Scene, seed: int = 0, *, faults: GripperFaults | None = None) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        seed: int = 0,
+        *,
+        slabs: Sequence[Slab] | None = None,
+        faults: GripperFaults | None = None,
+    ) -> None:
+        """Begin with the scene's slabs strewn by the seed, or with given ones, numbered from 0 in their order."""
         self.scene = scene
         self.seed = seed
         self.faults = faults or GripperFaults()
         self._random = np.random.default_rng([seed, 77])
-        self._slabs = _first_slabs(scene, seed)
+        self._slabs = strewn_slabs(scene, seed) if slabs is None else _numbered(slabs)
+        self._obstructions: tuple[Slab, ...] = ()
         self._held: _Held | None = None
         self._vacuum = False
         self._events: list[Event] = []
@@ -87,6 +96,15 @@ class World:
     def slabs(self) -> tuple[Slab, ...]:
         """Every slab as it is now; an immutable snapshot."""
         return self._slabs
+
+    @property
+    def obstructions(self) -> tuple[Slab, ...]:
+        """What else is in the camera's view."""
+        return self._obstructions
+
+    def obstruct(self, *bodies: Slab) -> None:
+        """Bring bodies that are no slabs into the view, in the place of those that were there; none clears it."""
+        self._obstructions = bodies
 
     @property
     def vacuum(self) -> bool:
@@ -215,7 +233,16 @@ class World:
         self._slabs = tuple(slabs)
 
 
-def _first_slabs(scene: Scene, seed: int) -> tuple[Slab, ...]:
+def _numbered(slabs: Sequence[Slab]) -> tuple[Slab, ...]:
+    numbers = [slab.number for slab in slabs]
+    if numbers != list(range(len(slabs))):
+        msg = f"slabs must be numbered 0 to {len(slabs) - 1} in their order, not {numbers}"
+        raise ValueError(msg)
+    return tuple(slabs)
+
+
+def strewn_slabs(scene: Scene, seed: int) -> tuple[Slab, ...]:
+    """Return the scene's slabs as a seed strews them over the pick area."""
     random = np.random.default_rng([seed, 1])
     bodies: list[Points] = []
     for spec in scene.outlines:

@@ -25,7 +25,9 @@ def test_slabs_that_hardly_fit_are_laid_out_in_shelves_and_still_keep_their_dist
 
 @pytest.mark.parametrize("count", [17, 30])  # too many for the rows, too many for the area
 def test_slabs_that_cannot_fit_are_refused_with_what_to_change(count: int) -> None:
-    with pytest.raises(LayoutError, match=r"mm², 4 mm apart, do not fit into the pick area of 10000 mm²: make it larger"):
+    with pytest.raises(
+        LayoutError, match=r"mm², 4 mm apart, do not fit into the pick area of 10000 mm²: make it larger"
+    ):
         strew([SQUARE] * count, shapely.box(0, 0, 100, 100), 4.0, np.random.default_rng(0))
 
 
