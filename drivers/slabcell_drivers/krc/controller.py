@@ -7,7 +7,6 @@ outputs and the tool do.  It is *not* a safety controller and not a substitute f
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import Protocol, Self
 
@@ -18,12 +17,13 @@ from slabcell_drivers.krc.data_values import to_krl, to_python
 from slabcell_drivers.krc.eki import EkiEvent, EthernetKrl
 from slabcell_drivers.krc.eki_channel import TelegramDirection
 from slabcell_drivers.krc.kernel import Hooks, Kernel
+from slabcell_drivers.krc.loading import load_predefined, load_sources, read_project, stem_of
 from slabcell_drivers.krc.messages import KrlError, RunMessage
 from slabcell_drivers.krc.motion_runner import Move
 from slabcell_drivers.krc.parser import parse
 from slabcell_drivers.krc.scope import ModuleScope
 from slabcell_drivers.krc.smartpad import ShownMessage
-from slabcell_drivers.krc.syntax import Assign, Diagnostic, Module, Routine
+from slabcell_drivers.krc.syntax import Assign, Diagnostic, Routine
 from slabcell_drivers.krc.values import EnumConstant, Value, copy_value
 from slabcell_drivers.robot.arm import ArmModel, Axes
 from slabcell_drivers.robot.frame import Frame
@@ -31,7 +31,6 @@ from slabcell_drivers.robot.frame import Frame
 __all__ = ["CellIo", "RunResult", "SoftwareKrc", "TraceEvent", "read_project"]
 
 HOME: Axes = (0.0, -90.0, 90.0, 0.0, 0.0, 0.0)
-_ENDINGS = frozenset({".src", ".dat", ".sub"})
 
 
 class CellIo(Protocol):
@@ -68,15 +67,6 @@ class RunResult:
     line: int
     virtual_time_s: float
     statements: int
-
-
-def read_project(folder: Path) -> dict[str, bytes]:
-    """Return the .src, .dat and .sub files below a folder by their path in it."""
-    return {
-        path.relative_to(folder).as_posix(): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.suffix.lower() in _ENDINGS and path.is_file()
-    }
 
 
 class SoftwareKrc:
@@ -129,18 +119,11 @@ class SoftwareKrc:
         self._power_on = self._snapshot()
 
     def _load(self, sources: Mapping[str, bytes]) -> None:
-        predefined = files("slabcell_drivers.krc").joinpath("predefined.dat").read_bytes()
         project = self._kernel.project
-        project.load([("$PREDEFINED", parse(predefined, "predefined.dat"))])
+        load_predefined(project)
         self._kernel.system.populate()
-        modules: list[tuple[str, Module]] = []
-        for name, source in sources.items():
-            module = parse(source, name)
+        for module in load_sources(project, sources):
             self.diagnostics.extend(module.diagnostics)
-            modules.append((_stem(name), module))
-        # system data first: programs may use its constants as sizes of their arrays
-        modules.sort(key=lambda item: not item[0].startswith("$"))
-        project.load(modules)
         self.diagnostics.extend(project.problems)
 
     # --- running ------------------------------------------------------------------------------------------------
@@ -216,7 +199,7 @@ class SoftwareKrc:
         kernel.system.write("$PRO_STATE1", EnumConstant("P_FREE"))
 
     def _find_program(self, program: str) -> tuple[Routine, ModuleScope] | RunResult:
-        stem = _stem(program)
+        stem = stem_of(program)
         module = self._kernel.project.modules.get(stem)
         if module is None or module.main is None:
             known = ", ".join(sorted(m.name for m in self._kernel.project.modules.values() if m.main is not None))
@@ -327,7 +310,7 @@ class SoftwareKrc:
         statement = parsed.routines[0].body[0] if parsed.routines and parsed.routines[0].body else None
         if parsed.diagnostics or not isinstance(statement, Assign):
             raise KrlError(RunMessage.SYNTAX, f"{name} is no variable")
-        scope = self._kernel.project.modules.get(_stem(module)) if module else None
+        scope = self._kernel.project.modules.get(stem_of(module)) if module else None
         compiler = ExpressionCompiler(self._kernel.project, scope, Code("", ""))
         return compiler.place(statement.target)(Activation(compiler.code, []))
 
@@ -340,9 +323,3 @@ class SoftwareKrc:
 
 def _no_answer(_: ShownMessage) -> int:
     return 0
-
-
-def _stem(name: str) -> str:
-    last = name.replace("\\", "/").rsplit("/", maxsplit=1)[-1]
-    head, dot, ending = last.rpartition(".")
-    return (head if dot and f".{ending.lower()}" in _ENDINGS else last).upper()

@@ -22,6 +22,7 @@ from slabcell_drivers.krc.syntax import (
     Diagnostic,
     EnumDecl,
     Expr,
+    External,
     Import,
     Index,
     Literal,
@@ -70,7 +71,7 @@ class ModuleScope:
         self.main: Routine | None = None
         self.data_file = ""
         self.program_file = ""
-        self.initial: dict[str, str] = {}
+        self.externals: set[str] = set()
 
     def file_of(self, routine: Routine) -> str:
         """Return the file that a routine stands in."""
@@ -130,7 +131,9 @@ class Project:
     def _declare_data(self, scope: ModuleScope, data: DataList, file: str) -> None:
         for statement in data.body:
             try:
-                if isinstance(statement, Declaration):
+                if isinstance(statement, External):
+                    scope.externals.add(statement.name)
+                elif isinstance(statement, Declaration):
                     self._declare_variables(statement, scope, data)
                 elif isinstance(statement, Signal):
                     self.declare(statement, scope, is_system=_is_system(data.name))

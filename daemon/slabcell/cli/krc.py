@@ -1,0 +1,226 @@
+"""`slabcell krc run`: what does a robot program do, in the software KRC?"""
+
+import json
+import threading
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from slabcell.errors import SlabcellError, UsageError
+from slabcell_drivers.krc import RunResult, SoftwareKrc, TraceEvent, read_project
+from slabcell_drivers.robot.arm import ArmModel, arm_by_name
+from slabcell_drivers.robot.frame import Frame
+
+__all__ = ["krc_app"]
+
+TRACES = ("statements", "motion", "io", "telegrams", "messages")
+_KINDS = {"statements": "statement", "motion": "motion", "io": "io", "telegrams": "telegram", "messages": "message"}
+
+krc_app = typer.Typer(help="Run robot programs in the software KRC.", no_args_is_help=True)
+
+
+@krc_app.callback()
+def _group() -> None:
+    """Run robot programs in the software KRC."""
+
+
+@krc_app.command()
+def run(
+    program: Annotated[str, typer.Argument(help="Program to select: NAME or NAME.src")],
+    project: Annotated[Path, typer.Option("--project", help="Folder of .src and .dat files, in any depth")] = Path(),
+    eki: Annotated[Path | None, typer.Option("--eki", help="Folder of EKI files; default: the project")] = None,
+    robot: Annotated[str, typer.Option("--robot", help="Robot model")] = "kr3r540",
+    speed: Annotated[str, typer.Option("--speed", help="1 = real time, 2 = twice as fast, …, or max")] = "max",
+    address: Annotated[
+        list[str] | None, typer.Option("--address", help="CHANNEL=HOST:PORT in place of the one in the EKI file")
+    ] = None,
+    timeout_s: Annotated[float, typer.Option("--timeout", min=0.1, help="Give up after so many seconds")] = 300.0,
+    seed: Annotated[int, typer.Option("--seed", help="Of everything that is left to chance")] = 0,
+    trace: Annotated[str, typer.Option("--trace", help=f"Comma-separated: {','.join(TRACES)}")] = "",
+    path: Annotated[Path | None, typer.Option("--path", help="Draw the tool's path into this SVG file")] = None,
+    *,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Run a program to its end in virtual time, against real EKI connections.
+
+    Exit code 0 if the program came to its end, 1 if it stopped on HALT, on an error or was still running at the
+    time limit.
+    """
+    if not project.is_dir():
+        msg = f"{project}: there is no such folder; --project takes the folder that holds the .src and .dat files"
+        raise UsageError(msg)
+    recorder = _Recorder(_wanted(trace), echo=not as_json)
+    points: list[Frame] = []
+    with SoftwareKrc(
+        read_project(project),
+        robot=_robot(robot),
+        eki_configs=_channels(eki or project),
+        eki_addresses=dict(_address(text) for text in address or ()),
+        io=_Path(points) if path is not None else None,
+        seed=seed,
+        speed=_speed(speed),
+        trace=recorder.take,
+        trace_kinds=recorder.kinds | ({"path"} if path is not None else frozenset[str]()),
+    ) as krc:
+        result = _run(krc, program, timeout_s)
+        if path is not None:
+            _write(path, _svg(points))
+        _report(krc, result, recorder, as_json=as_json)
+    if result.status != "done":
+        raise typer.Exit(1)
+
+
+def _run(krc: SoftwareKrc, program: str, timeout_s: float) -> RunResult:
+    """Run in a thread, so that Ctrl-C cancels the program as a person at the controller would."""
+    results: list[RunResult] = []
+
+    def work() -> None:
+        results.append(krc.run(program, max_wall_s=timeout_s))
+
+    thread = threading.Thread(target=work, name="software KRC")
+    thread.start()
+    try:
+        thread.join()
+    except KeyboardInterrupt:
+        krc.cancel()
+        thread.join()
+    if not results:
+        msg = "the software KRC failed; this is a fault in slabcell"
+        raise SlabcellError(msg)
+    return results[0]
+
+
+def _report(krc: SoftwareKrc, result: RunResult, recorder: "_Recorder", *, as_json: bool) -> None:
+    if as_json:
+        tcp = krc.tcp
+        document = {
+            "schema": "slabcell.krc-run/1",
+            "status": result.status,
+            "message_number": result.message_number,
+            "message": result.message,
+            "file": result.file,
+            "line": result.line,
+            "virtual_time_s": round(result.virtual_time_s, 3),
+            "statements": result.statements,
+            "axes_deg": [round(a, 4) for a in krc.axes_deg],
+            "tcp": {k: round(v, 4) for k, v in zip("XYZABC", tcp.as_tuple(), strict=True)},
+            "messages": [str(message) for message in krc.messages],
+            "problems": [str(problem) for problem in krc.diagnostics],
+            "trace": [asdict(event) for event in recorder.events],
+        }
+        typer.echo(json.dumps(document))
+        return
+    for problem in krc.diagnostics:
+        typer.echo(str(problem), err=True)
+    if "message" not in recorder.kinds:
+        for message in krc.messages:
+            typer.echo(str(message))
+    where = f" in {result.file}, line {result.line}" if result.file else ""
+    text = f": {result.message_number} {result.message}{where}" if result.message else ""
+    typer.echo(f"{result.status}{text}; {result.virtual_time_s:.2f} s of the robot, {result.statements} statements")
+
+
+class _Recorder:
+    """Prints what happens as it happens, or keeps it for the JSON document."""
+
+    MAX_EVENTS = 1_000_000
+
+    def __init__(self, kinds: frozenset[str], *, echo: bool) -> None:
+        self.kinds = kinds
+        self.events: list[TraceEvent] = []
+        self._echo = echo
+
+    def take(self, event: TraceEvent) -> None:
+        """Take one event."""
+        if event.kind not in self.kinds:
+            return
+        if self._echo:
+            typer.echo(f"{event.time_s:9.3f} {event.kind:9} {event.file}:{event.line} {event.text}")
+        elif len(self.events) < self.MAX_EVENTS:
+            self.events.append(event)
+
+
+class _Path:
+    """The cell's side of the I/O: only the tool's path is kept."""
+
+    def __init__(self, points: list[Frame]) -> None:
+        self._points = points
+
+    def output_changed(self, index: int, value: bool, tcp: Frame) -> None:  # noqa: FBT001  # the wire's own signature
+        """Take no notice of outputs."""
+
+    def moved(self, tcp: Frame) -> None:
+        """Keep the place."""
+        self._points.append(tcp)
+
+
+def _svg(points: list[Frame], width: int = 800) -> str:
+    """Return the path seen from above (X up, Y to the left) and from the side, as an SVG picture."""
+    views = [[(-p.y_mm, -p.x_mm) for p in points], [(p.x_mm, -p.z_mm) for p in points]]
+    parts: list[str] = []
+    top = 20.0
+    for title, view in zip(("from above, X up, Y left", "from the side, X right, Z up"), views, strict=True):
+        xs, ys = [x for x, _ in view] or [0.0], [y for _, y in view] or [0.0]
+        scale = (width - 40) / max(max(xs) - min(xs), max(ys) - min(ys), 1.0)
+        shown = " ".join(f"{20 + (x - min(xs)) * scale:.1f},{top + 20 + (y - min(ys)) * scale:.1f}" for x, y in view)
+        parts.append(f'<text x="20" y="{top:.0f}" font-family="sans-serif" font-size="14">{title}</text>')
+        parts.append(f'<polyline points="{shown}" fill="none" stroke="#0a5" stroke-width="1.5"/>')
+        top += 60 + (max(ys) - min(ys)) * scale
+    body = "\n".join(parts)
+    return f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{top:.0f}">\n{body}\n</svg>\n'
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        msg = f"{path}: cannot be written: {error.strerror}"
+        raise SlabcellError(msg) from error
+
+
+def _wanted(trace: str) -> frozenset[str]:
+    words = [word.strip() for word in trace.split(",") if word.strip()]
+    for word in words:
+        if word not in _KINDS:
+            msg = f"--trace {word}: not one of {', '.join(TRACES)}"
+            raise UsageError(msg)
+    return frozenset(_KINDS[word] for word in words)
+
+
+def _robot(name: str) -> ArmModel:
+    try:
+        return arm_by_name(name)
+    except (KeyError, ValueError) as error:
+        msg = f"--robot {name}: {error.args[0] if error.args else 'unknown'}"
+        raise UsageError(msg) from error
+
+
+def _speed(text: str) -> float | None:
+    if text == "max":
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.001 <= value <= 1000.0:
+        msg = f"--speed {text}: a number from 0.001 to 1000, or max"
+        raise UsageError(msg)
+    return value
+
+
+def _address(text: str) -> tuple[str, tuple[str, int]]:
+    channel, _, rest = text.partition("=")
+    host, _, port = rest.rpartition(":")
+    if not channel or not host or not port.isdigit() or not 1 <= int(port) <= 65535:
+        msg = f"--address {text}: expected CHANNEL=HOST:PORT"
+        raise UsageError(msg)
+    return channel, (host, int(port))
+
+
+def _channels(folder: Path) -> dict[str, bytes]:
+    if not folder.is_dir():
+        msg = f"{folder}: there is no such folder; --eki takes the folder that holds the channels' .xml files"
+        raise UsageError(msg)
+    return {path.stem: path.read_bytes() for path in sorted(folder.rglob("*")) if path.suffix.lower() == ".xml"}
