@@ -6,7 +6,7 @@ contact shadows change slowly), a step blurred by a Gaussian point spread, and w
 between both a strip of known width and nearly known grey.  The position of the step is what is asked; nothing is
 interpolated.
 
-This is the reference implementation, in NumPy.
+This is the reference implementation, in NumPy; `kernel` runs the same in C where that was compiled.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,9 @@ BINS_PER_PX = 4
 # Columns of the model: grey inside, outside, of the wall, step, slope inside, slope outside.
 COLUMNS = 6
 STEP = 3
-ITERATIONS = 4
+ITERATIONS = 5
+# After a step smaller than this the next one would be smaller than 1e-3 px.
+CONVERGED_PX = 0.03
 # A wall wider than this is a second edge far enough away: the profile ends before it.
 WIDE_WALL_PX = 14.0
 SQRT_2_PI = float(np.sqrt(2.0 * np.pi))
@@ -60,12 +62,14 @@ class ProfileModel:
 
     ``sigma_px``: of the point spread, pixel area included.  ``reach_px``: how far from the edge pixels are used.
     ``wall_ratio``: grey of a wall over grey of the upper face, and ``wall_ratio_sigma`` how well that is known.
+    ``near``: the edges are within a fraction of a pixel of where they are expected.
     """
 
     sigma_px: float
     reach_px: float
     wall_ratio: float
     wall_ratio_sigma: float
+    near: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +77,8 @@ class EdgeShifts:
     """Result of a measurement; arrays over pieces.
 
     ``shift`` px outward; ``sigma`` px, its standard deviation from the scatter about the model; ``inside``,
-    ``outside``, ``wall``: grey levels at the edge; ``valid``: whether there is an edge that the model describes.
+    ``outside``, ``wall``: grey levels at the edge; ``valid``: whether there is an edge that the model describes;
+    ``scatter``: variance of the bins' grey about the model, each counted as often as it holds pixels.
     """
 
     shift: Floats
@@ -82,6 +87,7 @@ class EdgeShifts:
     outside: Floats
     wall: Floats
     valid: npt.NDArray[np.bool_]
+    scatter: Floats
 
 
 def measure_edges(grey: Grey, lines: EdgeLines, model: ProfileModel) -> EdgeShifts:
@@ -99,7 +105,8 @@ def collect_profiles(grey: Grey, lines: EdgeLines, model: ProfileModel) -> tuple
     """Return for each piece and bin the number of pixels, their mean depth (px, inside positive) and mean grey."""
     height, width = grey.shape
     outer = outer_reach(lines.wall, model.reach_px)
-    deepest = float(outer.max()) if len(lines) else 0.0
+    # A whole number of pixels, so that the bins are the same however many pieces are measured together.
+    deepest = float(np.ceil(outer.max())) if len(lines) else 0.0
     bins = int(np.ceil((deepest + model.reach_px) * BINS_PER_PX)) + 1
     tangent = np.column_stack([-lines.outward[:, 1], lines.outward[:, 0]])
     # Scan along the axis that the edge follows more closely, so that every pixel of the strip is met once.
@@ -157,8 +164,11 @@ def fit_profiles(
     inside = _mean_where(level, count, depth > model.reach_px - 2.0)
     outside = _mean_where(level, count, depth < -(outer_reach(wall, model.reach_px) - 2.0)[:, None])
     grey_of_wall = model.wall_ratio * inside
-    step = _starting_shift(count, depth, level, inside, outside, grey_of_wall, strip[:, 0], model.reach_px)
+    step = np.zeros(pieces)
+    if not model.near:
+        step = _starting_shift(count, depth, level, inside, outside, grey_of_wall, strip[:, 0], model.reach_px)
     normal = np.zeros((pieces, COLUMNS, COLUMNS))
+    moving = np.ones(pieces, np.bool_)
     variance = np.zeros(pieces)
     pixels = count.sum(axis=1)
     s = model.sigma_px
@@ -173,31 +183,33 @@ def fit_profiles(
             [upper, 1.0 - both, both - upper, slope_of_step, depth * upper, depth * (1.0 - both)], axis=1
         )
         weighted = columns * count[:, None, :]
-        normal = weighted @ columns.transpose(0, 2, 1)
+        now = weighted @ columns.transpose(0, 2, 1)
         right = (weighted @ level[:, :, None])[:, :, 0]
         # What is known of the wall: its grey is wall_ratio times that of the upper face.
-        variance_now = np.maximum(variance, 1.0)
-        known = variance_now / np.maximum((model.wall_ratio_sigma * inside) ** 2, 1.0)
-        normal[:, 2, 2] += known
-        normal[:, 0, 0] += known * model.wall_ratio**2
-        normal[:, 0, 2] -= known * model.wall_ratio
-        normal[:, 2, 0] -= known * model.wall_ratio
-        normal += np.eye(COLUMNS) * 1e-6
+        known = np.maximum(variance, 1.0) / np.maximum((model.wall_ratio_sigma * inside) ** 2, 1.0)
+        now[:, 2, 2] += known
+        now[:, 0, 0] += known * model.wall_ratio**2
+        now[:, 0, 2] -= known * model.wall_ratio
+        now[:, 2, 0] -= known * model.wall_ratio
+        now += np.eye(COLUMNS) * 1e-6
         # A flat profile says nothing about the step: hold it.
-        normal[:, STEP, STEP] += 1e-3
-        solution: Floats = np.linalg.solve(normal, right[:, :, None])[:, :, 0].astype(np.float64, copy=False)
+        now[:, STEP, STEP] += 1e-3
+        solution: Floats = np.linalg.solve(now, right[:, :, None])[:, :, 0].astype(np.float64, copy=False)
         error = level - (columns.transpose(0, 2, 1) @ solution[:, :, None])[:, :, 0]
-        variance = np.sum(count * error * error, axis=1) / np.maximum((count > 0).sum(axis=1) - COLUMNS, 1)
-        inside, outside, grey_of_wall = solution[:, 0], solution[:, 1], solution[:, 2]
-        step = step + np.clip(solution[:, STEP], -1.5, 1.5)
-        step = np.clip(step, -model.reach_px, model.reach_px)
+        scatter = np.sum(count * error * error, axis=1) / np.maximum((count > 0).sum(axis=1) - COLUMNS, 1)
+        change = np.clip(solution[:, STEP], -1.5, 1.5)
+        normal = np.where(moving[:, None, None], now, normal)
+        variance = np.where(moving, scatter, variance)
+        inside, outside = np.where(moving, solution[:, 0], inside), np.where(moving, solution[:, 1], outside)
+        grey_of_wall = np.where(moving, solution[:, 2], grey_of_wall)
+        step = np.clip(np.where(moving, step + change, step), -model.reach_px, model.reach_px)
+        moving &= np.abs(change) >= CONVERGED_PX
     spread = np.linalg.inv(normal)[:, STEP, STEP]
     sigma = np.sqrt(np.maximum(spread * np.maximum(variance, 0.25), 1e-12))
-    contrast = np.abs(inside - np.where(wide | (strip[:, 0] > 2.0 * s), grey_of_wall, outside))
-    contrast = np.maximum(contrast, np.abs(inside - outside) * (strip[:, 0] <= 2.0 * s))
+    contrast = np.abs(inside - np.where(strip[:, 0] > 2.0 * s, grey_of_wall, outside))
     valid = (pixels >= 40) & (sigma < 0.5) & (np.abs(step) < model.reach_px - 2.0 * s)
     valid &= contrast > np.maximum(4.0, 0.02 * np.abs(inside))
-    return EdgeShifts(step, sigma, inside, outside, grey_of_wall, valid)
+    return EdgeShifts(step, sigma, inside, outside, grey_of_wall, valid, variance)
 
 
 def _mean_where(level: Floats, count: Floats, where: npt.NDArray[np.bool_]) -> Floats:

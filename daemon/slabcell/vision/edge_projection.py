@@ -9,11 +9,15 @@ import numpy.typing as npt
 from slabcell.geometry import Points
 from slabcell.vision.edge_profile import EdgeLines
 from slabcell.vision.edges import EdgePieces
+from slabcell.vision.local_map import LocalMaps, derivatives, evaluate, map_locally, monomials
 from slabcell.vision.plane import PlaneView
 
-__all__ = ["Poses", "ProjectedEdges", "project_edges"]
+__all__ = ["Poses", "ProjectedEdges", "maps_of", "project_edges", "project_through"]
 
 Floats = npt.NDArray[np.float64]
+
+# How far beyond an outline its map holds: the slab may lie that far from where it is expected.
+MARGIN_PX = 12.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,6 +55,20 @@ class ProjectedEdges:
 
 def project_edges(plane: PlaneView, outlines: Sequence[EdgePieces], poses: Poses) -> ProjectedEdges:
     """Return the pieces of outlines as the camera sees them at these poses."""
+    return project_through(maps_of(plane, outlines, poses), outlines, poses, mirrored=plane.mirrored)
+
+
+def maps_of(plane: PlaneView, outlines: Sequence[EdgePieces], poses: Poses) -> LocalMaps:
+    """Return maps that hold where the outlines lie, and a little around."""
+    reach = [
+        float(np.hypot(*(item.middle - pivot).T).max(initial=0.0)) + float(item.half_mm.max(initial=0.0))
+        for item, pivot in zip(outlines, poses.pivot, strict=True)
+    ]
+    return map_locally(plane, poses.position, np.array(reach) + MARGIN_PX * plane.mm_per_px)
+
+
+def project_through(maps: LocalMaps, outlines: Sequence[EdgePieces], poses: Poses, *, mirrored: bool) -> ProjectedEdges:
+    """Return the pieces of outlines as they are seen through maps made for poses near these."""
     owner = np.repeat(np.arange(len(outlines)), [len(item) for item in outlines])
     middle = np.concatenate([item.middle for item in outlines])
     tangent = np.concatenate([item.tangent for item in outlines])
@@ -62,23 +80,25 @@ def project_edges(plane: PlaneView, outlines: Sequence[EdgePieces], poses: Poses
     outward = np.column_stack([along[:, 1], -along[:, 0]])
     # The outline that is expected is the drawn one, moved out by the kerf found so far.
     on_table = poses.position[owner] + arm + poses.kerf[owner][:, None] * outward
-    step = plane.mm_per_px
-    bulge = (bend * half**2)[:, None] * outward
-    probes = np.concatenate(
-        [
-            on_table,
-            on_table - half[:, None] * along + bulge,
-            on_table + half[:, None] * along + bulge,
-            on_table + step * outward,
-        ]
-    )
-    centre, start, stop, beside = plane.to_pixels(probes).reshape(4, -1, 2)
-    foot = plane.calibration.image_from_table(on_table, 0.0) if plane.height_mm else centre
+    size = maps.size[owner][:, None]
+    place = (on_table - maps.centre[owner]) / size
+    reach = (half[:, None] * along) / size
+    bulge = ((bend * half**2)[:, None] * outward) / size
+    top = maps.top[owner]
+    centre = evaluate(top, monomials(place[:, 0], place[:, 1]))
+    before, after = place - reach + bulge, place + reach + bulge
+    start = evaluate(top, monomials(before[:, 0], before[:, 1]))
+    stop = evaluate(top, monomials(after[:, 0], after[:, 1]))
+    by_x, by_y = derivatives(place[:, 0], place[:, 1])
+    outwards = (
+        outward[:, :1] * evaluate(top, by_x) + outward[:, 1:] * evaluate(top, by_y)
+    ) / size  # pixels per mm along the normal
+    foot = evaluate(maps.foot[owner], monomials(place[:, 0], place[:, 1]))
     chord = stop - start
     length = np.maximum(np.hypot(chord[:, 0], chord[:, 1]), 1e-9)
     line = chord / length[:, None]
     # In a picture v points down: which side is outside follows from the handedness of the mapping.
-    normal = np.column_stack([line[:, 1], -line[:, 0]]) * (-1.0 if plane.mirrored else 1.0)
+    normal = np.column_stack([line[:, 1], -line[:, 0]]) * (-1.0 if mirrored else 1.0)
     sag = np.sum(normal * (0.5 * (start + stop) - centre), axis=1)
     wall = np.maximum(np.sum(normal * (foot - centre), axis=1), 0.0)
     turn = outward[:, 1] * arm[:, 0] - outward[:, 0] * arm[:, 1]
@@ -87,7 +107,7 @@ def project_edges(plane: PlaneView, outlines: Sequence[EdgePieces], poses: Poses
         EdgeLines(centre, normal, 0.5 * length, sag / (0.25 * length**2), wall),
         outward,
         np.column_stack([outward, turn, np.ones(len(arm))]),
-        np.sum(normal * (beside - centre), axis=1) / step,
+        np.sum(normal * outwards, axis=1),
         half / np.maximum(np.bincount(owner, half)[owner], 1e-9),
         on_table,
     )

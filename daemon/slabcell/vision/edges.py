@@ -38,6 +38,11 @@ class EdgePieces:
     def __len__(self) -> int:
         return len(self.middle)
 
+    def thinned(self, count: int) -> "EdgePieces":
+        """Return about this many of the pieces, spread over the outline."""
+        step = max(1, len(self) // max(count, 1))
+        return EdgePieces(self.middle[::step], self.tangent[::step], self.half_mm[::step], self.bend[::step])
+
     @property
     def outward(self) -> Points:
         """Unit normals that point out of the slab, shape (n, 2)."""

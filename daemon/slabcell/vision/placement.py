@@ -18,8 +18,9 @@ import shapely
 from slabcell.calibration.model import Calibration
 from slabcell.geometry import RigidTransform2D
 from slabcell.recipe import Recipe
-from slabcell.vision.edge_profile import ProfileModel, measure_edges
+from slabcell.vision.edge_profile import ProfileModel
 from slabcell.vision.edge_projection import Poses, ProjectedEdges, project_edges
+from slabcell.vision.kernel import measure_edges
 from slabcell.vision.locate import Locator
 from slabcell.vision.pixels import Grey, as_grey
 from slabcell.vision.registration import SIGMA_PX, WALL_RATIO

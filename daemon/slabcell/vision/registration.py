@@ -14,9 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from slabcell.geometry import Polygon, RigidTransform2D, normalize_deg
-from slabcell.vision.edge_profile import EdgeShifts, ProfileModel, measure_edges
-from slabcell.vision.edge_projection import Poses, project_edges
+from slabcell.vision.edge_profile import EdgeLines, EdgeShifts, ProfileModel
+from slabcell.vision.edge_projection import Poses, ProjectedEdges, maps_of, project_through
 from slabcell.vision.edges import EdgePieces
+from slabcell.vision.kernel import measure_edges
+from slabcell.vision.local_map import LocalMaps
 from slabcell.vision.matching import Candidate
 from slabcell.vision.pixels import Grey
 from slabcell.vision.plane import PlaneView
@@ -36,8 +38,16 @@ FLOOR_PX = 0.02
 SUPPORT_PX = 0.6
 # A missing piece counts in `evidence_mm` as if it were this far off.
 MISSING_PX = 3.0
+# Before the picture has been asked: blur, and grey of a wall over grey of the upper face.
 SIGMA_PX = 0.85
 WALL_RATIO = 0.6
+# How alike the walls of one picture are.
+WALL_RATIO_SIGMA = 0.05
+# Blurs that are tried, a constant factor apart.
+SPREAD_PX = 0.55 * 1.25 ** np.arange(7)
+SPREAD_PIECES = 24
+# Pieces of each outline that are measured first, where the slab may be some pixels off.
+FIRST_PIECES = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,23 +99,27 @@ def register(
         pivots,
         np.zeros(len(candidates)),
     )
-    chosen = [pieces[candidate.slot] for candidate in candidates]
-    model = ProfileModel(SIGMA_PX, 9.0, WALL_RATIO, 0.3)
+    outlines = [pieces[candidate.slot] for candidate in candidates]
+    maps = maps_of(plane, outlines, poses)
     scale = plane.mm_per_px
-    system, shifts = _measure(grey, plane, chosen, poses, model)
+    model = ProfileModel(SIGMA_PX, 9.0, WALL_RATIO, 0.3)
+    few = [item.thinned(FIRST_PIECES) for item in outlines]
+    system, shifts, edges = _measure(grey, maps, few, poses, model, mirrored=plane.mirrored)
     poses, _, _ = _solve(system, poses, scale)
+    model = ProfileModel(
+        _point_spread(grey, edges.lines, shifts), 6.0, _wall_ratio(shifts, edges.lines), WALL_RATIO_SIGMA, near=True
+    )
     covariance, remaining = np.zeros((0, UNKNOWNS, UNKNOWNS)), system.distance
     for _ in range(2):
-        model = ProfileModel(SIGMA_PX, 6.0, _wall_ratio(shifts, system), 0.05)
-        system, shifts = _measure(grey, plane, chosen, poses, model)
+        system, shifts, edges = _measure(grey, maps, outlines, poses, model, mirrored=plane.mirrored)
         poses, covariance, remaining = _solve(system, poses, scale)
     return _results(candidates, poses, system, covariance, remaining, scale)
 
 
 def _measure(
-    grey: Grey, plane: PlaneView, chosen: Sequence[EdgePieces], poses: Poses, model: ProfileModel
-) -> tuple[_System, EdgeShifts]:
-    edges = project_edges(plane, chosen, poses)
+    grey: Grey, maps: LocalMaps, outlines: Sequence[EdgePieces], poses: Poses, model: ProfileModel, *, mirrored: bool
+) -> tuple[_System, EdgeShifts, ProjectedEdges]:
+    edges = project_through(maps, outlines, poses, mirrored=mirrored)
     shifts = measure_edges(grey, edges.lines, model)
     system = _System(
         edges.owner,
@@ -115,7 +129,28 @@ def _measure(
         shifts.valid,
         edges.share,
     )
-    return system, shifts
+    return system, shifts, edges
+
+
+def _point_spread(grey: Grey, lines: EdgeLines, shifts: EdgeShifts) -> float:
+    """Return the width of the blur, in pixels: the one with which the model describes a picture's edges best."""
+    steep = np.abs(shifts.inside - shifts.outside)
+    usable = np.flatnonzero(shifts.valid & (lines.wall < 0.5) & (steep > 10.0))
+    if len(usable) < 6:
+        return SIGMA_PX
+    chosen = lines.select(usable[:: max(1, len(usable) // SPREAD_PIECES)])
+    scatter = np.array(
+        [np.sort(measure_edges(grey, chosen, ProfileModel(sigma, 6.0, WALL_RATIO, 0.3)).scatter) for sigma in SPREAD_PX]
+    )
+    # The worst third has something else beside its edge.
+    total = scatter[:, : max(4, 2 * len(chosen) // 3)].sum(axis=1)
+    best = int(np.clip(np.argmin(total), 1, len(SPREAD_PX) - 2))
+    x = np.log(SPREAD_PX[best - 1 : best + 2])
+    low, middle, high = total[best - 1 : best + 2]
+    # Vertex of the parabola through three points of the logarithm, which are equally far apart.
+    curvature = low - 2.0 * middle + high
+    shift = 0.5 * (low - high) / curvature if curvature > 0.0 else 0.0
+    return float(np.exp(x[1] + np.clip(shift, -1.0, 1.0) * (x[2] - x[1])))
 
 
 def _solve(system: _System, poses: Poses, scale: float) -> tuple[Poses, Floats, Floats]:
@@ -172,9 +207,9 @@ def _median_per_owner(owner: npt.NDArray[np.intp], values: Floats, count: int) -
     return np.where(usable > 0, np.nan_to_num(values[order][at]), 0.0) if len(values) else np.zeros(count)
 
 
-def _wall_ratio(shifts: EdgeShifts, system: _System) -> float:
-    del system
-    usable = shifts.valid & (shifts.inside > 1.0)
+def _wall_ratio(shifts: EdgeShifts, lines: EdgeLines) -> float:
+    """Return the grey of walls over that of upper faces, from the walls that are wide enough to be seen."""
+    usable = shifts.valid & (shifts.inside > 1.0) & (lines.wall > 1.5)
     if not np.any(usable):
         return WALL_RATIO
     return float(np.clip(np.median(shifts.wall[usable] / shifts.inside[usable]), 0.0, 1.5))

@@ -1,0 +1,74 @@
+"""How is the vision's compiled kernel built?  By the C compiler of the machine, when the package is built or installed.
+
+Hatchling calls this hook for wheels and for editable installs.  Where no C compiler is found, or it fails, the package
+is built without the kernel and says so: the vision then runs the same computation in NumPy, more slowly.
+
+``python hatch_build.py`` builds the kernel in place.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+SOURCE = Path("daemon/slabcell/vision/_kernel.c")
+LIBRARY = SOURCE.with_name("_kernel.so")
+# Sums may be reordered, which lets the compiler use vector instructions; NaN and infinity keep their meaning.
+FLAGS = [
+    "-std=c11", "-O3", "-fPIC", "-shared", "-Wall", "-Wextra",
+    "-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros", "-fassociative-math",
+]  # fmt: skip
+TIMEOUT_S = 120
+
+
+class CustomBuildHook(BuildHookInterface[Any]):
+    """Compiles the kernel and adds it to what is built."""
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """Compile, and mark the wheel as one of this platform where that worked."""
+        del version
+        root = Path(self.root)
+        problem = compile_kernel(root)
+        if problem:
+            self.app.display_warning(f"slabcell: built without the compiled kernel: {problem}")
+            return
+        if self.target_name == "wheel":
+            build_data["artifacts"].append(str(LIBRARY))
+            # The kernel is called through ctypes: any Python 3 of this platform can use it.
+            build_data["pure_python"] = False
+            build_data["tag"] = f"py3-none-{_platform()}"
+
+
+def compile_kernel(root: Path) -> str:
+    """Build the kernel beside its source; return why not, or nothing."""
+    compiler = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    if not compiler:
+        return "no C compiler found (cc, gcc or clang)"
+    made = root / LIBRARY
+    temporary = made.with_suffix(f".{os.getpid()}.part")
+    command = [*compiler.split(), *FLAGS, "-o", str(temporary), str(root / SOURCE), "-lm"]
+    try:
+        # The command is the user's own C compiler on our own file.
+        done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)  # noqa: S603
+        if done.returncode:
+            return f"{command[0]} failed: {done.stderr.strip()[-2000:]}"
+        temporary.replace(made)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return f"{command[0]} could not be run: {error}"
+    finally:
+        temporary.unlink(missing_ok=True)
+    return ""
+
+
+def _platform() -> str:
+    import sysconfig  # noqa: PLC0415 - needed for wheels alone
+
+    return sysconfig.get_platform().replace("-", "_").replace(".", "_")
+
+
+if __name__ == "__main__":
+    sys.exit(compile_kernel(Path(__file__).parent) or 0)
