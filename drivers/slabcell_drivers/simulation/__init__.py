@@ -2,7 +2,6 @@
 
 from slabcell_drivers.simulation.boards import board_corners, camera_views, plane_views, render_board
 from slabcell_drivers.simulation.defects import broken, chipped, touching
-from slabcell_drivers.simulation.formats import PixelFormat, mosaic
 from slabcell_drivers.simulation.obstructions import arm_in_view, hand_in_view
 from slabcell_drivers.simulation.placement import Placement
 from slabcell_drivers.simulation.rendering import render_slabs, render_world
@@ -14,7 +13,6 @@ __all__ = [
     "Event",
     "EventKind",
     "GripperFaults",
-    "PixelFormat",
     "Placement",
     "Scene",
     "SceneError",
@@ -27,7 +25,6 @@ __all__ = [
     "chipped",
     "hand_in_view",
     "load_scene",
-    "mosaic",
     "plane_views",
     "render_board",
     "render_slabs",

@@ -12,7 +12,7 @@ from slabcell_drivers.robot.frame import Frame
 from slabcell_drivers.simulation.areas import Area
 from slabcell_drivers.simulation.coverage import Window, cover
 from slabcell_drivers.simulation.exposure import FINE, add_blurred, cover_fine, cover_part, fine_window
-from slabcell_drivers.simulation.formats import PixelFormat, Pixels, digitise
+from slabcell_drivers.simulation.formats import Pixels, digitise
 from slabcell_drivers.simulation.projection import Projector, rings
 from slabcell_drivers.simulation.scene import CameraSpec, Optics, TableSpec
 from slabcell_drivers.simulation.slab import Slab
@@ -37,22 +37,24 @@ def render_slabs(
     seed: int = 0,
     frame_number: int = 0,
     table: TableSpec | None = None,
-    pixel_format: PixelFormat = PixelFormat.MONO8,
+    bits: int = 8,
+    colour: bool = False,
 ) -> Pixels:
-    """Return the picture of slabs on the table z = 0 of the root frame, in a pixel format.
+    """Return the picture of slabs on the table z = 0 of the root frame, with pixels as `digitise` makes them.
 
-    The shape is (height, width), or (height, width, 3) for colour.  ``seed`` chooses light and grain, ``frame_number``
-    the noise; ``table`` gives the board's rim and its marks.  Raises ValueError if a slab is above the camera.
+    The shape is (height, width), or (height, width, 3), in the order blue, green, red, for ``colour``.  ``seed``
+    chooses light and grain, ``frame_number`` the noise; ``table`` gives the board's rim and its marks.  Raises
+    ValueError if a slab is above the camera.
     """
-    if pixel_format is PixelFormat.BGR8:
+    if colour:
         tinted = [_tinted(optics, channel) for channel in range(3)]
         image = np.dstack([irradiance(camera, each, slabs, seed=seed, table=table) for each in tinted])
     else:
         image = irradiance(camera, optics, slabs, seed=seed, table=table)
-    return digitise(image, optics, (seed, frame_number), pixel_format)
+    return digitise(image, optics, (seed, frame_number), bits)
 
 
-def render_world(world: World, frame_number: int = 0, pixel_format: PixelFormat = PixelFormat.MONO8) -> Pixels:
+def render_world(world: World, frame_number: int = 0, *, bits: int = 8, colour: bool = False) -> Pixels:
     """Return what the scene's camera sees of a world now, whatever stands in its way included."""
     scene = world.scene
     return render_slabs(
@@ -62,7 +64,8 @@ def render_world(world: World, frame_number: int = 0, pixel_format: PixelFormat 
         seed=world.seed,
         frame_number=frame_number,
         table=scene.table,
-        pixel_format=pixel_format,
+        bits=bits,
+        colour=colour,
     )
 
 
