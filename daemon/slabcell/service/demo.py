@@ -34,7 +34,7 @@ from slabcell.service.config import CellConfig, load_config
 from slabcell.service.simulated import Picture, SimulatedCell, calibrate_from_boards
 from slabcell.vision.overlay import draw_overlay
 from slabcell_drivers.camera import ImageFrame
-from slabcell_drivers.krc import RunResult
+from slabcell_drivers.krc import RunResult, SoftwareKrc
 from slabcell_drivers.robot.arm import ArmModel, arm_by_name
 from slabcell_drivers.robot.eki.link import EkiServer
 from slabcell_drivers.simulation import Placement, Scene, SceneError, camera_views, load_scene, plane_views
@@ -153,21 +153,23 @@ class _Run:
             unsubscribe = cell.subscribe(self._see)
             await link.start(cell.handle)
             try:
-                controller = self._simulated.controller(link.address, seed=seed)
                 self._progress.stage("laying the slabs", len(self._parts.recipe.template.slots))
-                running = asyncio.create_task(
-                    asyncio.to_thread(controller.run, PROGRAM, max_wall_s=JOB_TIMEOUT_S), name="krc"
-                )
-                try:
-                    self.result = await asyncio.shield(running)
-                except asyncio.CancelledError:
-                    controller.cancel()
-                    await running
-                    raise
-                self.messages = tuple(str(message) for message in controller.messages)
+                with self._simulated.controller(link.address, seed=seed) as controller:
+                    await self._run_program(controller)
             finally:
                 await link.stop()
                 unsubscribe()
+
+    async def _run_program(self, controller: SoftwareKrc) -> None:
+        running = asyncio.create_task(asyncio.to_thread(controller.run, PROGRAM, max_wall_s=JOB_TIMEOUT_S), name="krc")
+        try:
+            self.result = await asyncio.shield(running)
+        except asyncio.CancelledError:
+            controller.cancel()
+            await running
+            raise
+        finally:
+            self.messages = tuple(str(message) for message in controller.messages)
 
     @contextlib.asynccontextmanager
     async def _cell(self, out: Path) -> AsyncGenerator[Cell]:
