@@ -28,13 +28,15 @@ from slabcell.recipe import Recipe
 from slabcell.template import Template
 from slabcell_drivers.robot import Frame
 from slabcell_drivers.simulation.boards import board_corners, camera_views, plane_views, render_board
+from slabcell_drivers.simulation.defects import chipped, touching
 from slabcell_drivers.simulation.formats import digitise
-from slabcell_drivers.simulation.layout import posed, strew
+from slabcell_drivers.simulation.layout import strew
 from slabcell_drivers.simulation.placement import congruences
 from slabcell_drivers.simulation.projection import Projector
 from slabcell_drivers.simulation.rendering import irradiance
 from slabcell_drivers.simulation.scene import AssemblySpec, BoardSpec, CameraSpec, Optics, Scene, TableSpec
 from slabcell_drivers.simulation.slab import Slab
+from slabcell_drivers.simulation.surfaces import Surface
 
 __all__ = ["CONDITIONS", "BenchmarkScene", "Condition", "TrueSlab", "make_scene"]
 
@@ -68,6 +70,9 @@ class Condition:
     size_px: Range = (180.0, 330.0)
     dust: int = 0
     kerf_mm: float = 0.0  # the template's polygons are larger than the slabs by this, all around half of it
+    stone: bool = False  # granite, marble or slate
+    chips: int = 0  # so many known slabs have lost a corner of 4 to 9 % of their size
+    pairs: int = 0  # so many slabs are pushed against their neighbour
 
 
 TYPICAL = Condition()
@@ -100,6 +105,10 @@ CONDITIONS = {
     "blur": replace(TYPICAL, blur_sigma_px=(1.4, 1.6)),
     "kerf": replace(TYPICAL, kerf_mm=0.4),
     "small": replace(TYPICAL, size_px=(90.0, 160.0)),
+    "stone": replace(TYPICAL, stone=True, slab_texture=(0.06, 0.1)),
+    "dark": replace(TYPICAL, table_dn=180.0, slab_dn=60.0),
+    "chipped": replace(TYPICAL, chips=4),
+    "touching": replace(TYPICAL, pairs=3),
 }
 
 
@@ -108,8 +117,9 @@ class TrueSlab:
     """One slab of a scene.
 
     ``slot`` is None for a slab that belongs to no slot; ``kind`` says what it is (``known``, ``stranger``, ``mirror``,
-    ``lookalike``).  ``table_from_assembly`` takes the slot to where the slab lies; it and its rotations by
-    360°/symmetry_order about the slab's centre are equally true.  ``outline`` is the upper face on the table, (n, 2).
+    ``lookalike``; ``chipped`` and ``touching`` have a slot, and may be located right or refused).
+    ``table_from_assembly`` takes the slot to where the slab lies; it and its rotations by 360°/symmetry_order about the
+    slab's centre are equally true.  ``outline`` is the upper face on the table, (n, 2).
     """
 
     slot: int | None
@@ -218,6 +228,7 @@ def make_scene(condition: str, seed: int, *, pool: str = "mixed", slabs: int = 1
         )
         for index, ((_, kind, _), body, pose, tone) in enumerate(zip(bodies, cut, poses, tones, strict=True))
     ]
+    solids = _damaged(solids, how, random)
     brightness = irradiance(camera, optics, solids, seed=seed)
     if how.dust:
         brightness += _dust(how, camera, [slab.shape for slab in solids], random)
@@ -227,14 +238,37 @@ def make_scene(condition: str, seed: int, *, pool: str = "mixed", slabs: int = 1
     truth = tuple(
         TrueSlab(
             slot,
-            kind,
-            None if slot is None else RigidTransform2D(pose[2], pose[0], pose[1]) @ from_slot[slot],
+            solid.name,
+            None if slot is None else _motion(solid.frame) @ from_slot[slot],
             len(congruences(body, body, 0.02)),
-            np.asarray(posed(small, pose).exterior.coords)[:-1],
+            solid.outline,
         )
-        for (slot, kind, body), small, pose in zip(bodies, cut, poses, strict=True)
+        for (slot, _, body), solid in zip(bodies, solids, strict=True)
     )
     return BenchmarkScene(name, image, template, how.thickness_mm, truth, camera, optics, seed)
+
+
+def _motion(frame: Frame) -> RigidTransform2D:
+    return RigidTransform2D(frame.a_deg, frame.x_mm, frame.y_mm)
+
+
+def _damaged(solids: list[Slab], how: Condition, random: np.random.Generator) -> list[Slab]:
+    """Return the slabs with some chipped and some pushed against their neighbour; their names say so."""
+    known = [slab.number for slab in solids if slab.name == "known"]
+    for number in random.permutation(known)[: how.chips].tolist():
+        size = float(random.uniform(0.04, 0.09)) * float(np.ptp(solids[number].body, axis=0).max())
+        solids[number] = replace(chipped(solids[number], random, size_mm=size), name="chipped")
+    for number in random.permutation(known)[: how.pairs].tolist():
+        neighbours = sorted(
+            (slab.number for slab in solids if slab.number != number),
+            key=lambda other: solids[other].shape.distance(solids[number].shape),
+        )
+        try:
+            pushed = touching(solids, number, neighbours[0])
+        except ValueError:
+            continue  # another slab is in the way: one pair less
+        solids = [replace(slab, name="touching") if slab.number in (number, neighbours[0]) else slab for slab in pushed]
+    return solids
 
 
 def _camera(random: np.random.Generator) -> CameraSpec:
@@ -275,6 +309,7 @@ def _optics(how: Condition, random: np.random.Generator) -> Optics:
         light_from_deg=float(random.uniform(0, 360)),
         slab_texture=float(random.uniform(*how.slab_texture)),
         table_texture=float(random.uniform(*how.table_texture)),
+        surface=Surface.PLAIN if not how.stone else list(Surface)[int(random.integers(1, 4))],
     )
 
 
