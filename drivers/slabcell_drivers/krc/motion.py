@@ -289,10 +289,22 @@ class _Tracker:
         text = f"Singularity: A5 at {a5_deg:.3f}° on the path, the wrist would have to turn over; use PTP here"
         raise MotionError(MotionMessage.SINGULARITY, text)
 
+    def _raise_limit(self, i: int, value_deg: float) -> None:
+        arm = self._arm
+        limit_deg = arm.axis_max_deg[i] if value_deg > 0.0 else arm.axis_min_deg[i]
+        sign = "+" if value_deg > 0.0 else "-"
+        text = (
+            f"Software limit switch {sign}A{i + 1}: {value_deg:.3f}° on the path, beyond its limit {limit_deg:.3f}°, "
+            "turn it back before"
+        )
+        raise MotionError(MotionMessage.AXIS_LIMIT, text)
+
     def _check_speed(self, axes: Axes, step_s: float) -> None:
         for i in range(6):
             moved = abs(axes[i] - self._axes[i])
             allowed = self._arm.axis_speed_deg_s[i]
+            if moved > 180.0:  # the path goes on beyond a limit, and a whole turn back would be needed
+                self._raise_limit(i, axes[i] + (360.0 if self._axes[i] > axes[i] else -360.0))
             if moved > allowed * step_s * AXIS_SPEED_TOLERANCE + 1e-6:
                 if abs(axes[4]) < 1.0 and i in (3, 5):
                     self._raise_singular(axes[4])

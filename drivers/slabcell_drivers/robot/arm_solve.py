@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from slabcell_drivers.robot.frame import Frame
 
-__all__ = ["Axes", "Dimensions", "Pose", "flange_pose", "pose_of_frame", "solve"]
+__all__ = ["Axes", "Dimensions", "Pose", "flange_pose", "pose_of_frame", "solve", "solve_main_axes"]
 
 Axes = tuple[float, float, float, float, float, float]
 """A1 to A6 in degrees."""
@@ -137,6 +137,31 @@ def solve(
                 if status is None or status & 4 == flipped:
                     axes = (_deg(a1), _deg(a2), _deg(a3), _deg(a4), _deg(a5), _deg(a6))
                     found.append((behind | elbow | flipped, axes))
+    return found
+
+
+def solve_main_axes(dimensions: Dimensions, wrist_deg: Vector, tcp_in_flange: Vector, position: Vector) -> list[Vector]:
+    """Return up to four A1, A2, A3 (degrees) that bring a point of the tool there while A4 to A6 are given.
+
+    ``tcp_in_flange`` is that point in the flange, ``position`` where it shall be in the root frame, both in mm.
+    """
+    d = dimensions
+    a4, a5, a6 = (math.radians(angle) for angle in wrist_deg)
+    c4, s4, c5, s5, c6, s6 = math.cos(a4), -math.sin(a4), math.cos(a5), math.sin(a5), math.cos(a6), -math.sin(a6)
+    ux, uy, uz = d.flange_mm + tcp_in_flange[2], tcp_in_flange[1], -tcp_in_flange[0]
+    # the point seen from the forearm, as if the forearm itself reached there
+    vx = d.forearm_x_mm + c5 * ux + s5 * s6 * uy + s5 * c6 * uz
+    vy = s4 * s5 * ux + (c4 * c6 - s4 * c5 * s6) * uy - (c4 * s6 + s4 * c5 * c6) * uz
+    vz = d.forearm_z_mm - c4 * s5 * ux + (s4 * c6 + c4 * c5 * s6) * uy + (c4 * c5 * c6 - s4 * s6) * uz
+    square = position[0] ** 2 + position[1] ** 2 - vy * vy
+    if square < 0.0:
+        return []
+    reach = Dimensions(d.base_height_mm, d.shoulder_mm, d.upper_arm_mm, vx, vz, d.flange_mm)
+    found: list[Vector] = []
+    for forward in (math.sqrt(square), -math.sqrt(square)):
+        a1 = math.atan2(vy, forward) - math.atan2(position[1], position[0])
+        for _, a2, a3 in _arm(reach, forward - d.shoulder_mm, position[2] - d.base_height_mm):
+            found.append((_deg(a1), _deg(a2), _deg(a3)))
     return found
 
 

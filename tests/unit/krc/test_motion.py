@@ -133,6 +133,15 @@ def test_a_lin_may_leave_a_home_position_with_a5_at_zero_and_come_back() -> None
     assert back.end_axes == pytest.approx(HOME, abs=1e-4)
 
 
+def test_a_lin_that_turns_the_tool_beyond_a_limit_names_the_limit_and_not_the_speed() -> None:
+    start = KR3_R540.inverse(above(300.0, 0.0) @ TOOL.inverse(), status=2, turn=0b000010)
+    move = plan_lin(KR3_R540, start, above(300.0, 0.0, a=120.0), SLOW, tool=TOOL)
+    assert move.end_axes[5] == pytest.approx(300.0)
+    with pytest.raises(MotionError, match=r"Software limit switch \+A6: 35\d\.\d+° on the path") as caught:
+        plan_lin(KR3_R540, move.end_axes, above(300.0, 0.0, a=-120.0), SLOW, tool=TOOL)
+    assert caught.value.number == MotionMessage.AXIS_LIMIT
+
+
 def test_a_lin_too_fast_for_an_axis_is_refused() -> None:
     near = KR3_R540.inverse(Frame(60.0, 250.0, 600.0, 0.0, 0.0, 180.0), near=HOME)
     beyond = Frame(60.0, -250.0, 600.0, 0.0, 0.0, 180.0)

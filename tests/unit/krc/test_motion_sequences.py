@@ -5,6 +5,7 @@ import pytest
 
 from slabcell_drivers.krc.motion import MotionError, PathLimits, Trajectory, plan_lin, plan_ptp
 from slabcell_drivers.krc.motion_blend import Approximation, blend
+from slabcell_drivers.krc.motion_joint import plan_lin_joint
 from slabcell_drivers.krc.motion_spline import SegmentKind, SplineSegment, plan_spline
 from slabcell_drivers.krc.motion_stop import resumed, stopped
 from slabcell_drivers.robot.arm import KR3_R540, Axes
@@ -151,3 +152,41 @@ def test_a_stop_near_the_end_of_a_move_just_ends_it() -> None:
     assert braking.end_axes == first.end_axes
     rest = resumed(first, first.duration_s - 0.01, ramp_s=0.2)
     assert rest.axes_at(rest.duration_s) == pytest.approx(first.end_axes)
+
+
+def test_with_the_wrist_turning_axis_by_axis_a_line_passes_the_singularity() -> None:
+    start = KR3_R540.inverse(Frame(170.0, 60.0, 190.0, 0.0, 0.0, 180.0), status=6)
+    goal = Frame(270.0, 60.0, 190.0, 0.0, 0.0, 180.0)
+    with pytest.raises(MotionError, match="Singularity"):
+        plan_lin(KR3_R540, start, goal, LIMITS)
+    move = plan_lin_joint(KR3_R540, start, goal, LIMITS)
+    assert np.abs(move.frame_at(move.duration_s).matrix - goal.matrix).max() < 1e-9
+    for t in np.linspace(0.0, move.duration_s, 33):
+        x, y, z = move.tcp_at(t).position
+        assert (y, z) == (pytest.approx(60.0), pytest.approx(190.0))
+        assert 170.0 - 1e-6 <= x <= 270.0 + 1e-6
+    a5 = [move.axes_at(t)[4] for t in np.linspace(0.0, move.duration_s, 9)]
+    assert a5[0] < 0.0 < a5[-1]
+    assert np.diff(a5).min() > 0.0
+
+
+def test_axis_by_axis_the_tool_centre_point_of_a_crooked_tool_stays_on_its_line() -> None:
+    tool = Frame(40.0, -30.0, 120.0, 10.0, 20.0, 30.0)
+    start: Axes = (20.0, -60.0, 90.0, 30.0, 40.0, 50.0)
+    first = KR3_R540.forward(start) @ tool
+    goal = Frame(first.x_mm - 60.0, first.y_mm + 80.0, first.z_mm + 40.0, first.a_deg + 25.0, first.b_deg, first.c_deg)
+    move = plan_lin_joint(KR3_R540, start, goal, LIMITS, tool=tool)
+    begin, end = (np.array(frame.as_tuple()[:3]) for frame in (first, goal))
+    direction = (end - begin) / np.linalg.norm(end - begin)
+    for t in np.linspace(0.0, move.duration_s, 33):
+        way = np.array(move.tcp_at(t).position) - begin
+        assert np.linalg.norm(way - direction * (way @ direction)) < 1e-6
+    assert np.abs((move.frame_at(move.duration_s) @ tool).matrix - goal.matrix).max() < 1e-9
+
+
+def test_axis_by_axis_a_line_that_is_too_fast_or_out_of_reach_is_refused() -> None:
+    with pytest.raises(MotionError, match="Work envelope exceeded"):
+        plan_lin_joint(KR3_R540, axes_above(300.0, 0.0), above(600.0, 0.0), LIMITS, tool=TOOL)
+    near = KR3_R540.inverse(Frame(60.0, 250.0, 600.0, 0.0, 0.0, 180.0), near=(0.0, -90.0, 90.0, 0.0, 0.0, 0.0))
+    with pytest.raises(MotionError, match="Command velocity exceeded A1"):
+        plan_lin_joint(KR3_R540, near, Frame(60.0, -250.0, 600.0, 0.0, 0.0, 180.0), PathLimits(2.0, 20.0))
