@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slabcell_drivers.camera.protocol import (
+    CameraBusy,
     CameraConfigError,
     CameraIncomplete,
     CameraInfo,
@@ -35,6 +36,8 @@ class CameraFault(StrEnum):
     """What can be wrong with a camera."""
 
     OFF = "off"  # no power or no cable: nothing answers
+    BUSY = "busy"  # another program controls it
+    HANG = "hang"  # it takes commands and never comes back
     DROP = "drop"  # triggered, but no frame comes
     INCOMPLETE = "incomplete"  # packets of the frame are lost
     DARK = "dark"  # the light is out
@@ -79,12 +82,14 @@ class SimulatedCamera:
             self._faults.pop(fault, None)
 
     async def open(self, timeout_s: float) -> CameraInfo:
-        """Connect; the camera counts its frames from 1 again.  Raises `CameraLost` if it is off."""
-        if CameraFault.OFF in self._faults:
+        """Connect; the camera counts its frames from 1 again.  Raises `CameraError`."""
+        self._state = CameraState.OPENING
+        try:
+            await asyncio.sleep(timeout_s if CameraFault.HANG in self._faults else 0.0)
+            self._check_it_answers(timeout_s)
+        except BaseException:
             self._state = CameraState.LOST
-            await asyncio.sleep(0)
-            msg = f"{self._name}: does not answer within {timeout_s:g} s: check its power and its cable"
-            raise CameraLost(msg)
+            raise
         self._frame_id = 0
         self._state = CameraState.READY
         return self.info
@@ -103,6 +108,17 @@ class SimulatedCamera:
         """Give the camera back; may be called twice."""
         self._state = CameraState.CLOSED
 
+    def _check_it_answers(self, timeout_s: float) -> None:
+        if CameraFault.HANG in self._faults:
+            msg = f"{self._name}: no answer within {timeout_s:g} s: switch it off and on"
+            raise CameraTimeout(msg)
+        if CameraFault.OFF in self._faults:
+            msg = f"{self._name}: does not answer within {timeout_s:g} s: check its power and its cable"
+            raise CameraLost(msg)
+        if CameraFault.BUSY in self._faults:
+            msg = f"{self._name}: is controlled by another program: close that one, or wait for its heartbeat to end"
+            raise CameraBusy(msg)
+
     @property
     def _name(self) -> str:
         return f"camera {self.info.serial}"
@@ -116,6 +132,20 @@ class SimulatedCamera:
                 del self._faults[fault]
         return found
 
+    def _check_picture(self, pixels: Pixels) -> None:
+        """Raise CameraConfigError unless a picture is as the camera says its pictures are."""
+        if pixels.shape[:2] != (self.info.height, self.info.width):
+            msg = (
+                f"{self._name}: the picture has {pixels.shape[1]}x{pixels.shape[0]} pixels, "
+                f"the camera is set to {self.info.width}x{self.info.height}"
+            )
+            raise CameraConfigError(msg)
+        kind = "BGR8" if pixels.ndim == 3 else "Mono8" if pixels.dtype == np.uint8 else "Mono16"
+        said = self.info.pixel_format
+        if said != kind and not (kind == "Mono16" and said in ("Mono10", "Mono12")):
+            msg = f"{self._name}: the picture is {kind}, the camera is set to {said}"
+            raise CameraConfigError(msg)
+
     async def _snap(self, deadline: float) -> ImageFrame:
         if self._state is CameraState.CLOSED:
             msg = f"{self._name}: is not open: open it before a picture is taken"
@@ -127,7 +157,7 @@ class SimulatedCamera:
         triggered_s = time.monotonic()
         self._frame_id += 1
         frame_id = self._frame_id
-        if self._is(CameraFault.DROP):
+        if self._is(CameraFault.DROP) or self._is(CameraFault.HANG):
             await asyncio.sleep(max(0.0, deadline - time.monotonic()) + 60.0)
         delayed = self._is(CameraFault.DELAYED)
         if delayed is not None:
@@ -140,12 +170,7 @@ class SimulatedCamera:
         if self._is(CameraFault.INCOMPLETE):
             msg = f"{self._name}: frame {frame_id} is incomplete: packets were lost; check network and packet size"
             raise CameraIncomplete(msg)
-        if pixels.shape[:2] != (self.info.height, self.info.width):
-            msg = (
-                f"{self._name}: the picture has {pixels.shape[1]}x{pixels.shape[0]} pixels, "
-                f"the camera is set to {self.info.width}x{self.info.height}"
-            )
-            raise CameraConfigError(msg)
+        self._check_picture(pixels)
         if self._is(CameraFault.DARK):
             pixels = _alike(pixels // 24, pixels)
         if self._is(CameraFault.BLUR):

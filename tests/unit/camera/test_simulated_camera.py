@@ -1,3 +1,4 @@
+import asyncio
 import time
 from threading import Event
 
@@ -5,6 +6,7 @@ import numpy as np
 import pytest
 
 from slabcell_drivers.camera import (
+    CameraBusy,
     CameraConfigError,
     CameraFault,
     CameraIncomplete,
@@ -117,6 +119,63 @@ async def test_a_picture_of_another_size_is_refused_with_both_sizes() -> None:
 
     with pytest.raises(CameraConfigError, match=r"20x10 pixels, the camera is set to 64x48"):
         await camera.snap(1.0)
+
+
+async def test_a_picture_of_another_format_is_refused_with_both_formats() -> None:
+    camera = SimulatedCamera(INFO, lambda _: np.zeros((48, 64), np.uint16))
+    await camera.open(1.0)
+
+    with pytest.raises(CameraConfigError, match=r"the picture is Mono16, the camera is set to Mono8"):
+        await camera.snap(1.0)
+
+
+async def test_a_twelve_bit_camera_delivers_sixteen_bits() -> None:
+    info = CameraInfo("slabcell", "test", "SIM-9", 64, 48, "Mono12")
+    camera = SimulatedCamera(info, lambda _: np.full((48, 64), 4000 << 4, np.uint16))
+    await camera.open(1.0)
+
+    frame = await camera.snap(1.0)
+
+    assert frame.pixel_format == "Mono12"
+    assert frame.pixels[0, 0] == 64_000
+
+
+async def test_a_camera_that_another_program_controls_is_busy_until_that_one_lets_go() -> None:
+    camera = SimulatedCamera(INFO, picture)
+    camera.break_with(CameraFault.BUSY)
+
+    with pytest.raises(CameraBusy, match="SIM-9: is controlled by another program"):
+        await camera.open(1.0)
+    assert camera.state is CameraState.LOST
+
+    camera.mend()
+    await camera.open(1.0)
+    assert camera.state is CameraState.READY
+
+
+async def test_a_camera_that_hangs_holds_neither_open_nor_snap_beyond_their_deadlines() -> None:
+    camera = await opened()
+    camera.break_with(CameraFault.HANG)
+
+    with pytest.raises(CameraTimeout, match="no complete frame"):
+        await camera.snap(0.03)
+    with pytest.raises(CameraTimeout, match=r"no answer within 0\.03 s: switch it off and on"):
+        await camera.open(0.03)
+    assert camera.state is CameraState.LOST
+
+
+async def test_opening_that_is_cancelled_does_not_leave_the_camera_half_open() -> None:
+    camera = SimulatedCamera(INFO, picture)
+    camera.break_with(CameraFault.HANG)
+    task = asyncio.create_task(camera.open(60.0))
+    await asyncio.sleep(0)
+    assert camera.state is CameraState.OPENING
+
+    task.cancel()
+
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert camera.state is CameraState.LOST
 
 
 async def test_a_slow_rendering_does_not_hold_the_caller_beyond_its_deadline() -> None:
