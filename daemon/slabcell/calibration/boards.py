@@ -103,7 +103,8 @@ class Board:
         """Every point of the board in the board's frame, mm, shape (n, 3), row by row from the origin."""
         columns, rows = self.grid
         j, i = np.divmod(np.arange(columns * rows), columns)
-        x = 2 * i + j % 2 if self.kind == "circles" else i
+        # Rows of circles are counted downwards by OpenCV, whose boards begin with a row that is not shifted.
+        x = 2 * i + (rows - 1 - j) % 2 if self.kind == "circles" else i
         return np.column_stack([x, j, np.zeros(len(i))]) * self.pitch_mm
 
     @property

@@ -13,7 +13,7 @@ import numpy as np
 
 from slabcell.calibration.boards import Board
 from slabcell.calibration.coverage import Coverage, measure_coverage
-from slabcell.calibration.detection import Detection
+from slabcell.calibration.detection import Detection, best_variant
 from slabcell.calibration.model import Calibration, CameraIdentity, Lens
 from slabcell.calibration.projection import (
     Vector,
@@ -34,6 +34,7 @@ LensModel = Literal["brown4", "brown5", "brown8", "brown14", "fisheye"]
 MIN_VIEWS = 4
 MIN_POINTS = 8
 OUTLIER_FACTOR = 2.5
+MAX_FOLDS = 15
 OUTLIER_FLOOR_PX = 0.1
 NOISE_FLOOR_PX = 0.02
 MAX_FOCAL_UNCERTAINTY = 0.1
@@ -63,12 +64,20 @@ class ViewReport:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraResult:
-    """A calibration of the lens, and everything a person needs to judge it."""
+    """A calibration of the lens, and everything a person needs to judge it.
+
+    ``holdout_px``: residual of views in a lens that was found without them.  ``focal_distance_correlation``: how far a
+    longer focal length can pass for a longer distance (1: not told apart).  ``residuals`` (n, 4): u, v and what is
+    left.
+    """
 
     calibration: Calibration
     rms_px: float
+    holdout_px: float
+    focal_distance_correlation: float
     views: tuple[ViewReport, ...]
     coverage: Coverage
+    residuals: Points
     std: dict[str, float]
     warnings: tuple[str, ...]
 
@@ -89,23 +98,32 @@ class _Solution:
 
 
 def calibrate_camera(
-    detections: Sequence[Detection], board: Board, *, model: LensModel = "brown5", serial: str = ""
+    detections: Sequence[Detection],
+    board: Board,
+    *,
+    model: LensModel = "brown5",
+    serial: str = "",
+    offset: tuple[int, int] = (0, 0),
+    binning: int = 1,
 ) -> CameraResult:
     """Return the lens that explains the views best.
 
-    Views whose residual is far above the others' are named and left out.  Raises CalibrationError if there are fewer
+    Views whose residual is far above the others' are named and left out.  The result is bound to the camera's serial
+    number, and to the pictures' size, region (``offset``) and ``binning``.  Raises CalibrationError if there are fewer
     than four usable views, if they differ in size, or if they do not determine a lens.
     """
     views = [d for d in detections if len(d.pixels) >= MIN_POINTS]
-    width, height = _common_size(views)
+    size = _common_size(views)
+    views = best_variant(views, lambda trial: float(np.median(_solve(trial, model, size).view_rms)))
+    views = _centre_discs(views, model, size)
     used = list(range(len(views)))
-    solution = _solve([views[i] for i in used], model, (width, height))
+    solution = _solve(views, model, size)
     for _ in range(3):
         bad = _outliers(solution.view_rms)
         if not len(bad) or len(used) - len(bad) < max(MIN_VIEWS, 2 * len(views) // 3):
             break
         used = [i for n, i in enumerate(used) if n not in bad]
-        solution = _solve([views[i] for i in used], model, (width, height))
+        solution = _solve([views[i] for i in used], model, size)
     information, noise_px = _information([views[i] for i in used], solution)
     covariance = _inverse(information) * noise_px**2
     names = parameter_names(solution.lens)
@@ -116,6 +134,8 @@ def calibrate_camera(
             f"the views leave the focal length open ({focal:.0f} ± {std['fx']:.0f} px): add views that are tilted by 20"
             " to 45 degrees in different directions"
         )
+    holdout_px = _holdout([views[i] for i in used], model, size)
+    focal_distance = _focal_distance_correlation([views[i] for i in used], solution, covariance, noise_px)
     reports = _reports(views, used, solution)
     coverage = measure_coverage([views[i] for i in used])
     warnings = _warnings(views, used, reports, solution, coverage, std, board)
@@ -124,7 +144,9 @@ def calibrate_camera(
         "lens_model": model,
         "board": str(board),
         "rms_px": solution.rms,
+        "holdout_px": holdout_px if np.isfinite(holdout_px) else None,
         "noise_px": noise_px,
+        "focal_distance_correlation": focal_distance,
         "views": [
             {"name": r.name, "points": r.points, "rms_px": r.rms_px, "used": r.used, "tilt_deg": r.tilt_deg}
             for r in reports
@@ -134,8 +156,12 @@ def calibrate_camera(
         "coverage": {"hull_fraction": coverage.hull_fraction, "reach_fraction": coverage.reach_fraction},
         "warnings": list(warnings),
     }
-    calibration = Calibration(CameraIdentity(width, height, serial), solution.lens, None, diagnostics)
-    return CameraResult(calibration, solution.rms, reports, coverage, std, warnings)
+    binding = CameraIdentity(*size, serial, *offset, binning)
+    calibration = Calibration(binding, solution.lens, None, diagnostics)
+    residuals = np.vstack([np.hstack([views[i].pixels, r]) for i, r in zip(used, solution.residuals, strict=True)])
+    return CameraResult(
+        calibration, solution.rms, holdout_px, focal_distance, reports, coverage, residuals, std, warnings
+    )
 
 
 def _common_size(views: Sequence[Detection]) -> tuple[int, int]:
@@ -154,6 +180,44 @@ def _common_size(views: Sequence[Detection]) -> tuple[int, int]:
             f"the pictures differ in size: {views[0].name} has {views[0].width}x{views[0].height}, but {odd}"
         )
     return views[0].width, views[0].height
+
+
+def _centre_discs(views: Sequence[Detection], model: LensModel, size: tuple[int, int]) -> list[Detection]:
+    """Return the views with what perspective does to the centres of discs taken off, if they show discs."""
+    if not any(v.disc_mm > 0.0 for v in views):
+        return list(views)
+    centred = list(views)
+    for _ in range(2):
+        solution = _solve(centred, model, size)
+        centred = [v.centred(solution.lens, pose) for v, pose in zip(views, solution.poses, strict=True)]
+    return centred
+
+
+def _holdout(views: Sequence[Detection], model: LensModel, size: tuple[int, int]) -> float:
+    """Return the rms residual of views in lenses found without them; of many views several are left out at once."""
+    folds = min(len(views), MAX_FOLDS)
+    if len(views) - -(-len(views) // folds) < MIN_VIEWS - 1:
+        return float("nan")
+    squares, count = 0.0, 0
+    for fold in range(folds):
+        lens = _solve([v for n, v in enumerate(views) if n % folds != fold], model, size).lens
+        for view in views[fold::folds]:
+            residual = view.pixels - project(view.points_mm, board_pose(view.points_mm, view.pixels, lens), lens)[0]
+            squares, count = squares + float((residual * residual).sum()), count + len(residual)
+    return float(np.sqrt(squares / count))
+
+
+def _focal_distance_correlation(
+    views: Sequence[Detection], solution: _Solution, covariance: Points, noise_px: float
+) -> float:
+    found: list[float] = []
+    for view, pose in zip(views, solution.poses, strict=True):
+        _, by_pose, by_lens = project(view.points_mm, pose, solution.lens)
+        inner = np.asarray(np.linalg.inv(by_pose.T @ by_pose), np.float64)
+        carried = -inner @ (by_pose.T @ by_lens)
+        distance = float((noise_px**2 * inner + carried @ covariance @ carried.T)[5, 5])
+        found.append(abs(float((carried @ covariance)[5, 0])) / np.sqrt(distance * float(covariance[0, 0])))
+    return float(np.mean(found))
 
 
 def _solve(views: Sequence[Detection], model: LensModel, size: tuple[int, int]) -> _Solution:

@@ -1,20 +1,16 @@
-"""Where are the inner corners of a checkerboard, to a few hundredths of a pixel, and which of them is the first?
+"""Where are the inner corners of a checkerboard, and which of them is the first?
 
-The corners are found on a reduced picture, which is fast, and refined on the full one.  The window of the refinement
-follows the size of a square in the picture: wide windows average noise away (measured against rendered truth: half
-side 3 px gives 0.041 px rms, 11 px 0.023 px), but a window that reaches the next corner is biased by it.
+The corners are found on a reduced picture, which is fast, and refined on the full one.
 """
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from slabcell.calibration.boards import Board
+from slabcell.calibration.corners import MIN_WINDOW, Found, Grey, refine_corners, step_px
 from slabcell.geometry import Points
 
-__all__ = ["find_checkerboard", "number_grid", "refine_corners", "smallest_step_px"]
-
-Grey = npt.NDArray[np.uint8]
+__all__ = ["find_checkerboard", "number_grid"]
 
 REDUCED_SIDE = 960
 """Long side in pixels of the picture that is searched first."""
@@ -22,33 +18,35 @@ MAX_SEARCH_SIDE = 2600
 """Long side in pixels above which a picture is never searched unreduced."""
 SECTOR_SEARCH_SIDE = 1300
 """Long side in pixels of the picture that is searched last, with the slow method."""
-MAX_WINDOW = 15
-MIN_WINDOW = 2
 
 
-def find_checkerboard(grey: Grey, board: Board) -> tuple[npt.NDArray[np.int64], Points, int, str] | None:
-    """Return the corners' numbers, their pixels (n, 2), the window's half side and a note; None without a board."""
+def find_checkerboard(grey: Grey, board: Board) -> Found | None:
+    """Return all inner corners; None if the board is not seen whole."""
     columns, rows = board.grid
     coarse = _search(grey, columns, rows)
     if coarse is None:
         return None
-    pixels, window = refine_corners(grey, coarse.reshape(rows, columns, 2))
-    grid = number_grid(grey, pixels.reshape(rows, columns, 2))
-    note = "its squares are small: the window of the sub-pixel search is only 2 px" if window <= MIN_WINDOW else ""
-    return np.arange(columns * rows), grid.reshape(-1, 2), window, note
+    corners = number_grid(grey, coarse.reshape(rows, columns, 2)).reshape(-1, 2)
+    variants = refine_corners(grey, corners, step_px(board.points, corners, board.pitch_mm))
+    note = (
+        "its squares are so small that the sub-pixel search has next to nothing to go by"
+        if variants[0][0] <= MIN_WINDOW
+        else ""
+    )
+    return Found(np.arange(columns * rows), variants, note)
 
 
 def _search(grey: Grey, columns: int, rows: int) -> Points | None:
     side = max(grey.shape)
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-    for target, extra in ((REDUCED_SIDE, cv2.CALIB_CB_FAST_CHECK), (MAX_SEARCH_SIDE, cv2.CALIB_CB_FAST_CHECK)):
-        if target == MAX_SEARCH_SIDE and side <= REDUCED_SIDE:
-            break
+    searches = [(REDUCED_SIDE, cv2.CALIB_CB_FAST_CHECK), (REDUCED_SIDE, 0)]
+    if side > REDUCED_SIDE:
+        searches.insert(1, (MAX_SEARCH_SIDE, cv2.CALIB_CB_FAST_CHECK))
+    for target, extra in searches:
         small, scale = _reduced(grey, target)
         found, corners = cv2.findChessboardCorners(small, (columns, rows), flags=flags | extra)
         if found:
             return _enlarged(np.asarray(corners, np.float64).reshape(-1, 2), scale)
-    # The sector-based search copes with glare and strong distortion that the one above does not; it costs far more.
     small, scale = _reduced(grey, SECTOR_SEARCH_SIDE)
     found, corners = cv2.findChessboardCornersSB(small, (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
     return _enlarged(np.asarray(corners, np.float64).reshape(-1, 2), scale) if found else None
@@ -64,23 +62,6 @@ def _reduced(grey: Grey, side: int) -> tuple[Grey, float]:
 
 def _enlarged(corners: Points, scale: float) -> Points:
     return (corners + 0.5) * scale - 0.5
-
-
-def smallest_step_px(grid: Points) -> float:
-    """Return the distance between the two nearest neighbours of a grid of points, shape (rows, columns, 2)."""
-    along = np.linalg.norm(np.diff(grid, axis=1), axis=2)
-    across = np.linalg.norm(np.diff(grid, axis=0), axis=2)
-    return float(min(along.min(), across.min()))
-
-
-def refine_corners(grey: Grey, grid: Points) -> tuple[Points, int]:
-    """Return corners (n, 2) refined on ``grey`` from a grid (rows, columns, 2) good to a few pixels, and the window."""
-    step = smallest_step_px(grid)
-    window = int(np.clip(0.42 * step, MIN_WINDOW, MAX_WINDOW))
-    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-3)
-    corners = np.ascontiguousarray(grid.reshape(-1, 1, 2), dtype=np.float32)
-    corners = cv2.cornerSubPix(grey, corners, (window, window), (-1, -1), stop)
-    return np.asarray(corners, np.float64).reshape(-1, 2), window
 
 
 def number_grid(grey: Grey, grid: Points) -> Points:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from slabcell.calibration.detection import Detection
 
-__all__ = ["Coverage", "measure_coverage"]
+__all__ = ["Coverage", "draw_coverage", "measure_coverage"]
 
 CELLS_ACROSS = 16
 
@@ -64,3 +64,27 @@ def measure_coverage(detections: Sequence[Detection]) -> Coverage:
         pixels[:, 1], pixels[:, 0], bins=(rows, CELLS_ACROSS), range=((-0.5, height - 0.5), (-0.5, width - 0.5))
     )
     return Coverage(width, height, float(cv2.contourArea(hull)) / (width * height), reach, counts.astype(np.int64))
+
+
+def draw_coverage(
+    coverage: Coverage, residuals: npt.NDArray[np.float64], width_px: int = 1200
+) -> npt.NDArray[np.uint8]:
+    """Return a picture of the points, (h, w, 3) uint8 BGR, each with its residual as a stroke a hundred times enlarged.
+
+    ``residuals`` (n, 4): u, v and what is left in u and v.  Empty cells of the grid are shaded.
+    """
+    scale = width_px / coverage.width
+    picture = np.full((max(round(coverage.height * scale), 1), width_px, 3), 255, np.uint8)
+    rows, columns = coverage.counts.shape
+    for row, column in np.argwhere(coverage.counts == 0):
+        corner = (round(column * width_px / columns), round(row * picture.shape[0] / rows))
+        opposite = (round((column + 1) * width_px / columns), round((row + 1) * picture.shape[0] / rows))
+        cv2.rectangle(picture, corner, opposite, (225, 225, 245), cv2.FILLED)
+    points = np.round(residuals[:, :2] * scale * 16.0).astype(np.int32)
+    tips = np.round((residuals[:, :2] + 100.0 * residuals[:, 2:]) * scale * 16.0).astype(np.int32)
+    hull = cv2.convexHull(points.reshape(-1, 1, 2))
+    cv2.polylines(picture, [hull], isClosed=True, color=(170, 120, 60), thickness=2, lineType=cv2.LINE_AA, shift=4)
+    for point, tip in zip(points.tolist(), tips.tolist(), strict=True):
+        cv2.line(picture, point, tip, (60, 60, 200), 1, cv2.LINE_AA, 4)
+        cv2.circle(picture, point, 24, (60, 140, 40), cv2.FILLED, cv2.LINE_AA, 4)
+    return picture

@@ -4,19 +4,24 @@ The points come back in the board's own numbering (see `boards`), so that two pi
 """
 
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from slabcell.calibration.boards import Board
+from slabcell.calibration.charuco import find_charuco
 from slabcell.calibration.checkerboard import find_checkerboard
+from slabcell.calibration.circles import disc_shift, find_circles
+from slabcell.calibration.corners import Found
+from slabcell.calibration.model import Lens
+from slabcell.calibration.projection import Vector, board_pose
 from slabcell.errors import ImageError
 from slabcell.geometry import Points
 
-__all__ = ["Detection", "Picture", "detect_board", "detect_boards", "to_grey"]
+__all__ = ["Detection", "Picture", "best_variant", "detect_board", "detect_boards", "to_grey"]
 
 Picture = npt.NDArray[np.generic]
 """A picture: shape (height, width) or (height, width, 3 or 4), 8 or 16 bit."""
@@ -30,7 +35,8 @@ class Detection:
     """The points of one board found in one picture.
 
     ``points_mm`` (n, 3) in the board's frame and ``pixels`` (n, 2) belong together row by row; ``indices`` are the
-    points' numbers on the board.  ``window_px`` is the half side of the sub-pixel window, 0 where none was used.
+    points' numbers on the board.  ``variants`` are the pixels as windows of several widths refine them, the widest
+    first; ``pixels`` is one of them.  ``disc_mm`` is the diameter of the discs whose centres the points are, else 0.
     """
 
     name: str
@@ -39,8 +45,35 @@ class Detection:
     indices: npt.NDArray[np.int64]
     points_mm: Points
     pixels: Points
-    window_px: int = 0
+    variants: tuple[tuple[int, Points], ...] = ()
     note: str = ""
+    disc_mm: float = 0.0
+
+    def centred(self, lens: Lens, pose: Vector | None = None) -> "Detection":
+        """Return the detection with the pixels of the discs' centres, not the centres of the discs' pictures."""
+        if self.disc_mm <= 0.0:
+            return self
+        seen = board_pose(self.points_mm, self.pixels, lens) if pose is None else pose
+        return replace(self, pixels=self.pixels - disc_shift(self.points_mm, self.disc_mm, seen, lens))
+
+    def variant(self, number: int) -> "Detection":
+        """Return the detection with the pixels of another window."""
+        return replace(self, pixels=self.variants[min(number, len(self.variants) - 1)][1]) if self.variants else self
+
+
+def best_variant(detections: Sequence[Detection], residual: Callable[[Sequence[Detection]], float]) -> list[Detection]:
+    """Return the detections with the width of window that leaves the smallest residual; at a draw the widest.
+
+    Of a narrower window a residual is believed only if it is smaller by 3 %.
+    """
+    count = max((len(d.variants) for d in detections), default=0)
+    best, least = list(detections), np.inf
+    for number in range(count):
+        trial = [d.variant(number) for d in detections]
+        left = residual(trial)
+        if left < 0.97 * least:
+            best, least = trial, left
+    return best
 
 
 def to_grey(picture: Picture, name: str) -> npt.NDArray[np.uint8]:
@@ -66,11 +99,17 @@ def detect_board(picture: Picture, board: Board, name: str) -> Detection:
     grey = to_grey(picture, name)
     found = _finder(board)(grey, board)
     if found is None:
-        hint = "the whole board must be visible and sharp, with a light margin of one square around it"
-        raise ImageError(f"{name}: no {board} found; {hint}, and COLUMNSxROWS must be the board's")
-    indices, pixels, window_px, note = found
+        raise ImageError(f"{name}: no {board} found; {_HINTS[board.kind]}, and COLUMNSxROWS must be the board's")
     return Detection(
-        name, grey.shape[1], grey.shape[0], indices, board.points[indices], pixels.astype(np.float64), window_px, note
+        name,
+        grey.shape[1],
+        grey.shape[0],
+        found.indices,
+        board.points[found.indices],
+        found.variants[0][1],
+        found.variants,
+        found.note,
+        board.diameter_mm,
     )
 
 
@@ -108,10 +147,14 @@ def detect_boards(
     return detections, failures
 
 
-Found = tuple[npt.NDArray[np.int64], Points, int, str]
+_HINTS = {
+    "checkerboard": "the whole board must be visible and sharp, with a light margin of one square around it",
+    "charuco": "at least six of its corners must be visible and sharp, and dictionary and marker size must be right",
+    "circles": "all circles must be visible, dark on light and sharp",
+}
 
 
 def _finder(board: Board) -> Callable[[npt.NDArray[np.uint8], Board], Found | None]:
     if board.kind == "checkerboard":
         return find_checkerboard
-    raise ImageError(f"finding a {board.kind} board is not available yet")
+    return find_charuco if board.kind == "charuco" else find_circles

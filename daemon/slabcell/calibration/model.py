@@ -98,6 +98,26 @@ class Calibration:
             )
             raise CalibrationError(msg)
 
+    def require_camera(self, camera: CameraIdentity, source: str) -> None:
+        """Raise CalibrationError unless ``camera`` is the calibrated one; an empty serial on either side fits any."""
+        self.require_size(camera.width, camera.height, source)
+        own = self.camera
+        pairs: list[tuple[str, str | int, str | int]] = [
+            ("region offset x", camera.offset_x, own.offset_x),
+            ("region offset y", camera.offset_y, own.offset_y),
+            ("binning", camera.binning, own.binning),
+        ]
+        if camera.serial and own.serial:
+            pairs.insert(0, ("serial number", camera.serial, own.serial))
+        differences = [f"{what} {theirs} instead of {ours}" for what, theirs, ours in pairs if theirs != ours]
+        if differences:
+            msg = (
+                f"{source} is not the calibrated camera: {', '.join(differences)}; use its own calibration, set the "
+                "camera"
+                " as it was, or calibrate again"
+            )
+            raise CalibrationError(msg)
+
     def table_from_image(self, pixels: Points, height_mm: float | npt.NDArray[np.float64] = 0.0) -> Points:
         """Return where pixels, shape (n, 2), meet the plane z = ``height_mm`` of the table; shape (n, 2), mm."""
         plane = self.require_plane()

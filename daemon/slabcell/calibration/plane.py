@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slabcell.calibration.boards import Board
-from slabcell.calibration.detection import Detection
+from slabcell.calibration.detection import Detection, best_variant
 from slabcell.calibration.model import Calibration, Lens, TablePlane
 from slabcell.calibration.projection import Vector, board_pose, from_vector, project, rms_length, to_vector
 from slabcell.calibration.touch import Touch, TouchFit, fit_touch
@@ -79,10 +79,17 @@ def calibrate_plane(
         raise CalibrationError(f"a board thickness of {board_thickness_mm:g} mm is outside 0 mm to 200 mm")
     for view in detections:
         calibration.require_size(view.width, view.height, view.name)
-    poses = [board_pose(d.points_mm, d.pixels, calibration.lens) for d in detections]
-    start = _start(calibration.lens, poses, board_thickness_mm)
     root, noise_px = _prior(calibration)
-    state = _refine(start, detections, board_thickness_mm, root, noise_px)
+
+    def solve(views: Sequence[Detection]) -> _State:
+        poses = [board_pose(d.points_mm, d.pixels, calibration.lens) for d in views]
+        return _refine(_start(calibration.lens, poses, board_thickness_mm), views, board_thickness_mm, root, noise_px)
+
+    def residual(views: Sequence[Detection]) -> float:
+        return _cost(solve(views), views, board_thickness_mm, None, noise_px, np.zeros(0))
+
+    detections = [d.centred(calibration.lens) for d in best_variant(detections, residual)]
+    state = solve(detections)
     turn, _ = cv2.Rodrigues(state.pose[:3])
     plane = TablePlane(np.asarray(turn, np.float64), state.pose[3:].copy())
     if plane.rotation[2, 2] > 0.0:

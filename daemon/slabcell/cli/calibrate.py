@@ -5,6 +5,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
+import cv2
+import numpy as np
+import numpy.typing as npt
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -28,8 +31,9 @@ from slabcell.calibration import (
     load_touch,
     save_calibration,
 )
+from slabcell.calibration.coverage import draw_coverage
 from slabcell.calibration.detection import Picture
-from slabcell.errors import CalibrationError, ImageError
+from slabcell.errors import CalibrationError, ImageError, SlabcellError
 from slabcell.images import read_image
 
 __all__ = ["calibrate_app"]
@@ -61,14 +65,25 @@ def camera_command(
         LensModel, typer.Option("--model", help="Lens: Brown's with 4, 5, 8 or 14 coefficients, or fisheye.")
     ] = "brown5",
     serial: Annotated[str, typer.Option("--serial", help="Serial number of the camera; the file is bound to it.")] = "",
+    offset_x: Annotated[int, typer.Option("--offset-x", min=0, max=65535, help="OffsetX of the camera's region.")] = 0,
+    offset_y: Annotated[int, typer.Option("--offset-y", min=0, max=65535, help="OffsetY of the camera's region.")] = 0,
+    binning: Annotated[int, typer.Option("--binning", min=1, max=64, help="Binning of the camera.")] = 1,
+    coverage: Annotated[
+        Path | None,
+        typer.Option("--coverage", metavar="PNG", help="Draw where the board was seen, with residuals x100."),
+    ] = None,
     *,
     as_json: AsJson = False,
 ) -> None:
     """Find the lens of a camera from 10 to 20 pictures of a board in different places and tilts (Zhang's method)."""
     shown = Board.parse(board)
     detections, failures = _detect(images, shown, quiet=as_json)
-    result = calibrate_camera(detections, shown, model=model, serial=serial)
+    result = calibrate_camera(
+        detections, shown, model=model, serial=serial, offset=(offset_x, offset_y), binning=binning
+    )
     save_calibration(out, result.calibration)
+    if coverage is not None:
+        _write_png(coverage, draw_coverage(result.coverage, result.residuals))
     if as_json:
         typer.echo(json.dumps(_camera_document(result, out, failures)))
     else:
@@ -191,12 +206,24 @@ def _read(paths: Sequence[Path]) -> Iterator[tuple[str, Picture]]:
         yield str(path), read_image(path)
 
 
+def _write_png(path: Path, picture: npt.NDArray[np.uint8]) -> None:
+    done, encoded = cv2.imencode(".png", picture)
+    if not done:
+        raise SlabcellError(f"{path}: the picture could not be encoded")
+    try:
+        path.write_bytes(encoded.tobytes())
+    except OSError as error:
+        raise SlabcellError(f"{path}: cannot be written: {error.strerror}") from error
+
+
 def _camera_document(result: CameraResult, out: Path, failures: Sequence[str]) -> dict[str, object]:
     lens = result.calibration.lens
     return {
         "schema": "slabcell.calibrate-camera/1",
         "out": str(out),
         "rms_px": result.rms_px,
+        "holdout_px": result.holdout_px if np.isfinite(result.holdout_px) else None,
+        "focal_distance_correlation": result.focal_distance_correlation,
         "lens": {"model": lens.model, "matrix": lens.matrix.tolist(), "distortion": lens.distortion.tolist()},
         "std": result.std,
         "views": [
@@ -246,7 +273,8 @@ def _print_camera(result: CameraResult, out: Path, failures: Sequence[str]) -> N
     m = result.calibration.lens.matrix
     std = result.std
     console.print(
-        f"residual {result.rms_px:.3f} px; focal length {m[0, 0]:.2f} ± {std['fx']:.2f}, {m[1, 1]:.2f} ± "
+        f"residual {result.rms_px:.3f} px (hold-out {result.holdout_px:.3f}); focal length {m[0, 0]:.2f} ± "
+        f"{std['fx']:.2f}, {m[1, 1]:.2f} ± "
         f"{std['fy']:.2f} px;"
         f" principal point {m[0, 2]:.2f} ± {std['cx']:.2f}, {m[1, 2]:.2f} ± {std['cy']:.2f} px;"
         f" {result.coverage.hull_fraction:.0%} of the picture covered",

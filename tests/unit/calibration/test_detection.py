@@ -1,10 +1,13 @@
 """The points of a board are found to a few hundredths of a pixel, in the board's own numbering."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from slabcell.calibration import Board, detect_board, detect_boards
-from slabcell.calibration.checkerboard import refine_corners
+from slabcell.calibration.corners import refine_corners
+from slabcell.calibration.detection import best_variant
 from slabcell.errors import ImageError
 
 pytestmark = pytest.mark.unit
@@ -32,11 +35,20 @@ def test_a_board_that_looks_the_same_after_half_a_turn_starts_at_the_left(lab):
     assert row[0] * column[1] - row[1] * column[0] < 0.0
 
 
-def test_the_window_of_the_refinement_follows_the_squares(lab):
-    grid = np.stack(np.meshgrid(np.arange(5.0), np.arange(4.0)), axis=-1)
+def test_the_windows_of_the_refinement_follow_the_squares(lab):
+    grid = 40 + np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0)), axis=-1).reshape(-1, 2)
     grey = np.zeros((200, 200), np.uint8)
-    windows = [refine_corners(grey, 20 + grid * step)[1] for step in (6.0, 12.0, 24.0, 36.0)]
-    assert windows == [2, 5, 10, 15]
+    widths = [[window for window, _ in refine_corners(grey, grid, step)] for step in (6.0, 12.0, 24.0, 60.0)]
+    assert widths == [[2], [5, 3, 2], [10, 7, 4, 3], [15, 12, 8]]
+
+
+def test_the_window_with_the_smallest_residual_is_taken_and_at_a_draw_the_widest(lab):
+    seen = lab.seen(lab.looking_down(0, 0))
+    seen = replace(seen, variants=((9, seen.pixels), (5, seen.pixels + 1.0), (3, seen.pixels + 2.0)))
+    offset = seen.pixels[0, 0]
+    for wanted, residuals in ((0, (1.0, 1.0, 1.0)), (1, (1.0, 0.5, 0.6)), (0, (1.0, 0.98, 0.99)), (2, (3.0, 2.0, 1.0))):
+        (best,) = best_variant([seen], lambda trial, r=residuals: r[round(float(trial[0].pixels[0, 0] - offset))])
+        assert best.pixels[0, 0] - offset == pytest.approx(wanted)
 
 
 def test_sixteen_bit_and_colour_pictures_are_read_as_well(lab):

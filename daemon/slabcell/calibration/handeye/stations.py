@@ -14,9 +14,9 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from slabcell.calibration.detection import Detection
+from slabcell.calibration.detection import Detection, best_variant
 from slabcell.calibration.handeye.motion import Array, hat, inverse, kuka_matrix, rigid
-from slabcell.calibration.model import Calibration
+from slabcell.calibration.model import Calibration, Lens
 from slabcell.calibration.projection import board_pose, project, rms_length
 from slabcell.errors import CalibrationError
 
@@ -82,6 +82,10 @@ class Stations:
 def make_stations(calibration: Calibration, detections: Sequence[Detection], poses: Sequence[RobotPose]) -> Stations:
     """Return the stations of the pictures whose robot pose is known.  Raises CalibrationError for one without."""
     by_name = _by_name(poses)
+    lens = calibration.lens
+    if any(d.variants for d in detections):
+        detections = best_variant(detections, lambda trial: sum(_misfit_px(d, lens) ** 2 for d in trial))
+    detections = [d.centred(lens) for d in detections]
     robot: list[tuple[float, ...]] = []
     boards: list[Array] = []
     information: list[Array] = []
@@ -93,8 +97,8 @@ def make_stations(calibration: Calibration, detections: Sequence[Detection], pos
             raise CalibrationError(
                 f"{view.name}: no robot pose is given for this picture: add its line to the poses file"
             )
-        seen = board_pose(view.points_mm, view.pixels, calibration.lens)
-        pixels, by_pose, _ = project(view.points_mm, seen, calibration.lens)
+        seen = board_pose(view.points_mm, view.pixels, lens)
+        pixels, by_pose, _ = project(view.points_mm, seen, lens)
         turn, _ = cv2.Rodrigues(seen[:3])
         turn = np.asarray(turn, np.float64)
         points = view.points_mm @ turn.T + seen[3:]
@@ -118,6 +122,10 @@ def make_stations(calibration: Calibration, detections: Sequence[Detection], pos
         tuple(detections),
         calibration,
     )
+
+
+def _misfit_px(view: Detection, lens: Lens) -> float:
+    return rms_length(view.pixels - project(view.points_mm, board_pose(view.points_mm, view.pixels, lens), lens)[0])
 
 
 def _by_name(poses: Sequence[RobotPose]) -> dict[str, RobotPose]:
