@@ -25,3 +25,4 @@ class Builtin:
     rest_out: bool = False  # every argument from the first of ``outs`` on is written
     result: str = ""
     traits: frozenset[Trait] = field(default=frozenset())
+    waits: Callable[..., bool] | None = None  # the program stands after the call until this holds

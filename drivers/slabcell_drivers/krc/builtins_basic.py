@@ -62,8 +62,7 @@ def _arc_cosine(_: "Kernel", x: Value) -> float:
 
 
 def _arc_tangent(_: "Kernel", y: Value, x: Value) -> float:
-    angle = math.degrees(math.atan2(_number(y), _number(x)))
-    return angle + 360.0 if angle < 0 else angle
+    return math.degrees(math.atan2(_number(y), _number(x)))
 
 
 def _magnitude(_: "Kernel", x: Value) -> Value:
@@ -82,8 +81,8 @@ def _string_declared_length(_: "Kernel", place: Place) -> int:
     return _declared_length(place.value)
 
 
-def _string_length(_: "Kernel", value: Value) -> int:
-    return len(text(value))
+def _string_length(_: "Kernel", place: Place) -> int:
+    return len(place_text(place))  # 0 for an argument left out, which message libraries rely on
 
 
 def _string_add(_: "Kernel", target: Place, addition: Value) -> int:
@@ -177,8 +176,12 @@ def _timer_limit(_: "Kernel", value: Value) -> float:
     return min(max(_number(value), -2147483.0), 2147483.0)
 
 
-def _random(host: "Kernel") -> float:
-    return host.rng.random()
+def _random(host: "Kernel", low: Value, high: Value) -> float:
+    return host.rng.uniform(_number(low), _number(high))
+
+
+def _zero(_: "Kernel") -> int:
+    return 0
 
 
 BASIC_BUILTINS: dict[str, Builtin] = {
@@ -189,7 +192,7 @@ BASIC_BUILTINS: dict[str, Builtin] = {
     "TAN": Builtin(_tangent, 1, 1, result="REAL"),
     "ACOS": Builtin(_arc_cosine, 1, 1, result="REAL"),
     "ATAN2": Builtin(_arc_tangent, 2, 2, result="REAL"),
-    "STRLEN": Builtin(_string_length, 1, 1, result="INT"),
+    "STRLEN": Builtin(_string_length, 1, 1, frozenset({0}), result="INT"),
     "STRDECLLEN": Builtin(_string_declared_length, 1, 1, frozenset({0}), result="INT"),
     "STRADD": Builtin(_string_add, 2, 2, frozenset({0}), result="INT"),
     "STRCLEAR": Builtin(_string_clear, 1, 1, frozenset({0}), result="BOOL"),
@@ -207,5 +210,6 @@ BASIC_BUILTINS: dict[str, Builtin] = {
     "ERR_RAISE": Builtin(_raise_error, 1, 1),
     "ERR_CLEAR": Builtin(_clear_error, 0, 1, frozenset({0})),
     "TIMER_LIMIT": Builtin(_timer_limit, 1, 1, result="REAL"),
-    "RAND": Builtin(_random, 0, 0, result="REAL"),
+    "FRAND": Builtin(_random, 2, 2, result="REAL"),
+    "SYNC": Builtin(_zero, 0, 0, result="INT"),
 }

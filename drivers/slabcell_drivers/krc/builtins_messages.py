@@ -91,26 +91,57 @@ def _dialog_exists(host: "Kernel", handle: Value, answer: Place | None = None) -
     return False
 
 
-def _message_short(kind: str) -> "_Short":
-    return _Short(kind)
-
-
 class _Short:
-    """MsgNotify("text","module",number) and its kin."""
+    """MsgNotify, MsgQuit and MsgWait of KUKA's message library: (text, module, number for %1, text for %1, number)."""
 
     def __init__(self, kind: str) -> None:
         self._kind = kind
 
     def __call__(
-        self, host: "Kernel", content: Value, originator: Value = None, number: Value = None, *_: Value
+        self,
+        host: "Kernel",
+        content: Value,
+        originator: Value = None,
+        value: Value = None,
+        addition: Value = None,
+        number: Value = None,
+        *_: Value,
     ) -> int:
+        filling = _shown(value) if value is not None else "" if addition is None else _shown(addition)
+        shown = text(content).replace("%1", filling)
         module = "" if originator is None else text(originator)
-        return host.messages.show(self._kind, module, int(number or 0), text(content))
+        return host.messages.show(self._kind, module, int(number or 0), shown)
 
 
-def _ask(host: "Kernel", content: Value, *arguments: Value) -> int:
-    keys = tuple(text(a) for a in arguments if isinstance(a, str | CharArray))
-    return host.messages.show("DIALOG", "", 0, text(content), keys)
+def _state_message(host: "Kernel", handle: Place, *arguments: Value) -> None:
+    handle.set(_Short("STATE")(host, *arguments))
+
+
+def _ask(
+    host: "Kernel", answer: Place, content: Value, originator: Value = None, addition: Value = None, *rest: Value
+) -> None:
+    keys = tuple(text(key) for key in rest[:7] if isinstance(key, str | CharArray))
+    filling = "" if addition is None else _shown(addition)
+    module = "" if originator is None else text(originator)
+    handle = host.messages.show("DIALOG", module, 0, text(content).replace("%1", filling), keys)
+    host.open_dialog = (handle, answer)
+
+
+def _is_acknowledged(host: "Kernel") -> bool:
+    return not host.messages.is_open(host.messages.last_handle)
+
+
+def _is_answered(host: "Kernel") -> bool:
+    if host.open_dialog is None:
+        return True
+    handle, answer = host.open_dialog
+    key = host.messages.answered(handle)
+    if key is None:
+        host.expect_operator()
+        return False
+    answer.set(key)
+    host.open_dialog = None
+    return True
 
 
 # --- formatting ----------------------------------------------------------------------------------------------------
@@ -253,12 +284,11 @@ MESSAGE_BUILTINS: dict[str, Builtin] = {
     "EXISTS_KRLMSG": Builtin(_message_exists, 1, 1, result="BOOL"),
     "EXISTS_KRLDLG": Builtin(_dialog_exists, 1, 2, frozenset({1}), result="BOOL"),
     "CLEAR_KRLMSG": Builtin(_clear_message, 1, 1, result="BOOL"),
-    "MSGNOTIFY": Builtin(_message_short("NOTIFY"), 1, 8, result="INT"),
-    "MSGSTATE": Builtin(_message_short("STATE"), 1, 8, result="INT"),
-    "MSGQUIT": Builtin(_message_short("QUIT"), 1, 8, result="INT"),
-    "MSGWAIT": Builtin(_message_short("WAITING"), 1, 8, result="INT"),
-    "MSGLOOP": Builtin(_message_short("STATE"), 1, 8, result="INT"),
-    "MSGDIALOG": Builtin(_ask, 1, 12),
+    "MSGNOTIFY": Builtin(_Short("NOTIFY"), 1, 6, result="INT"),
+    "MSGQUIT": Builtin(_Short("QUIT"), 1, 6, waits=_is_acknowledged),
+    "MSGSTATE": Builtin(_state_message, 2, 7, frozenset({0})),
+    "MSGLOOP": Builtin(_Short("STATE"), 1, 2),
+    "MSGDIALOG": Builtin(_ask, 2, 14, frozenset({0}), waits=_is_answered),
     "SWRITE": Builtin(_write_text, 4, 34, frozenset({0, 1, 2}), rest_out=True),
     "SREAD": Builtin(_read_text, 4, 34, frozenset({0, 1, 2}), rest_out=True),
     "CWRITE": Builtin(_channel_write, 2, 34, frozenset({1})),

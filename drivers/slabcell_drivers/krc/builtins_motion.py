@@ -37,30 +37,37 @@ def _bas(host: "Kernel", command: Value, number: Value = None) -> None:
             _initialize(host)
         case "ACC_PTP" | "VEL_PTP":
             _percent(host, "$VEL_AXIS" if command.name == "VEL_PTP" else "$ACC_AXIS", value, command.name)
-        case "VEL_CP" | "ACC_CP":
-            name = "$VEL" if command.name == "VEL_CP" else "$ACC"
-            if value <= 0.0:
-                raise KrlError(RunMessage.RANGE, f"BAS(#{command.name},{value:g}): the value must be above 0")
-            host.system.read(name).set("CP", value)
+        case "VEL_CP":
+            _path_speed(host, value)
+        case "ACC_CP":
+            _path_acceleration(host, value)
         case "TOOL":
             _set_tool(host, int(value))
         case "BASE" | "EX_BASE":
             _set_base(host, int(value))
         case "PTP_PARAMS":
+            _bas(host, EnumConstant("PTP_DAT"))
+            _bas(host, EnumConstant("FRAMES"))
             _percent(host, "$VEL_AXIS", value, command.name)
         case "CP_PARAMS":
-            host.system.read("$VEL").set("CP", value)
+            _bas(host, EnumConstant("CP_DAT"))
+            _bas(host, EnumConstant("FRAMES"))
+            _path_speed(host, value)
         case "PTP_DAT":
             data = host.data_or_none("PDAT_ACT")
             if isinstance(data, StructValue):
                 _percent(host, "$VEL_AXIS", float(data.get("VEL") or 100.0), command.name)
                 _percent(host, "$ACC_AXIS", float(data.get("ACC") or 100.0), command.name)
-                host.system.read("$APO").set("CPTP", float(data.get("APO_DIST") or 0.0))
+                mode, distance = data.get("APO_MODE"), float(data.get("APO_DIST") or 0.0)
+                if isinstance(mode, EnumConstant) and mode.name == "CDIS":
+                    host.system.read("$APO").set("CDIS", distance)
+                else:
+                    host.system.read("$APO").set("CPTP", min(100.0, distance))
         case "CP_DAT":
             data = host.data_or_none("LDAT_ACT")
             if isinstance(data, StructValue):
-                host.system.read("$VEL").set("CP", float(data.get("VEL") or 2.0))
-                host.system.read("$ACC").set("CP", _default(host, "DEF_ACC_CP") * float(data.get("ACC") or 100.0) / 100)
+                _path_speed(host, float(data.get("VEL") or _default(host, "DEF_VEL_CP")))
+                _path_acceleration(host, float(data.get("ACC") or 100.0))
                 host.system.read("$APO").set("CDIS", float(data.get("APO_DIST") or 0.0))
         case "FRAMES":
             data = host.data_or_none("FDAT_ACT")
@@ -88,8 +95,26 @@ def _initialize(host: "Kernel") -> None:
     for member in ("CPTP", "CDIS", "CORI", "CVEL"):
         apo.set(member, _default(host, f"DEF_APO_{member}"))
     host.system.write("$ADVANCE", 3)
-    _set_tool(host, 0)
+    tools = host.data_or_none("TOOL_DATA")
+    first = tools.get((1,)) if isinstance(tools, ArrayValue) else None
+    _set_tool(host, 1 if isinstance(first, StructValue) and first.fields else 0)
     _set_base(host, 0)
+
+
+def _path_speed(host: "Kernel", metres_per_second: float) -> None:
+    if metres_per_second <= 0.0:
+        raise KrlError(RunMessage.RANGE, f"BAS(#VEL_CP,{metres_per_second:g}): the speed must be above 0 m/s")
+    host.system.read("$VEL").set("CP", min(metres_per_second, _default(host, "DEF_VEL_CP")))
+
+
+def _path_acceleration(host: "Kernel", percent: float) -> None:
+    if percent <= 0.0:
+        raise KrlError(RunMessage.RANGE, f"BAS(#ACC_CP,{percent:g}): the acceleration must be above 0 %")
+    share = min(percent, 100.0) / 100.0
+    accelerations = host.system.read("$ACC")
+    accelerations.set("CP", _default(host, "DEF_ACC_CP") * share)
+    for member in ("ORI1", "ORI2"):
+        accelerations.set(member, _default(host, "DEF_ACC_ORI1") * share)
 
 
 def _percent(host: "Kernel", name: str, value: float, command: str) -> None:

@@ -512,6 +512,17 @@ class RoutineCompiler(ExpressionCompiler):
             function(a)
 
         self.emit_synchronized(call_builtin)
+        waits, host = self.project.builtins[node.name].waits, self.interpreter.host
+        if waits is None:
+            return
+
+        def wait(a: Activation) -> Pause | None:
+            if waits(host):
+                return None
+            a.pc -= 1
+            return Pause.TIME
+
+        self._emit(wait)
 
     def _call_operation(self, node: Call, *, result: int | None) -> None:
         target = self.interpreter.resolve(node.name, self.scope)

@@ -15,8 +15,9 @@ from slabcell_drivers.krc.code import Activation, Code
 from slabcell_drivers.krc.compile_expressions import ExpressionCompiler
 from slabcell_drivers.krc.data_values import to_krl, to_python
 from slabcell_drivers.krc.eki import EkiEvent, EthernetKrl
-from slabcell_drivers.krc.eki_channel import TelegramDirection
-from slabcell_drivers.krc.kernel import Hooks, Kernel
+from slabcell_drivers.krc.eki_channel import TelegramDirection, WireOptions
+from slabcell_drivers.krc.eki_transport import Link
+from slabcell_drivers.krc.kernel import STATEMENT_S, Hooks, Kernel
 from slabcell_drivers.krc.loading import load_predefined, load_sources, read_project, stem_of
 from slabcell_drivers.krc.messages import KrlError, RunMessage
 from slabcell_drivers.krc.motion_runner import Move
@@ -24,12 +25,14 @@ from slabcell_drivers.krc.parser import parse
 from slabcell_drivers.krc.scope import ModuleScope
 from slabcell_drivers.krc.smartpad import ShownMessage
 from slabcell_drivers.krc.syntax import Assign, Diagnostic, Routine
-from slabcell_drivers.krc.values import EnumConstant, Value, copy_value
+from slabcell_drivers.krc.values import EnumConstant
 from slabcell_drivers.robot.arm import ArmModel, Axes
 from slabcell_drivers.robot.frame import Frame
 
 __all__ = ["CellIo", "RunResult", "SoftwareKrc", "TraceEvent", "read_project"]
 
+_CAN_GO_ON = frozenset({"halted", "stopped"})
+_MODES = ("T1", "T2", "AUT", "EX")
 HOME: Axes = (0.0, -90.0, 90.0, 0.0, 0.0, 0.0)
 
 
@@ -58,7 +61,10 @@ class TraceEvent:
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """How a run ended: ``status`` is done, halted, error, cancelled or deadline; where, and with which message."""
+    """How a run ended, where, and with which message.
+
+    ``status`` is done, halted (HALT), stopped (emergency stop, mode), error, cancelled, deadline or power_lost.
+    """
 
     status: str
     message_number: int
@@ -72,7 +78,8 @@ class RunResult:
 class SoftwareKrc:
     """One controller with its project.  Use it as a context manager, or call `close`.
 
-    ``speed`` 1.0 runs in real time, None as fast as possible.  ``trace`` is called from the thread that runs programs.
+    ``speed`` 1.0 runs in real time, None as fast as possible; ``statement_s`` is the time that one statement takes.
+    ``trace`` is called from the thread that runs programs.
     """
 
     def __init__(
@@ -82,6 +89,8 @@ class SoftwareKrc:
         robot: ArmModel,
         eki_configs: Mapping[str, bytes] | None = None,
         eki_addresses: Mapping[str, tuple[str, int]] | None = None,
+        eki_link: Link | None = None,
+        eki_wire: WireOptions | None = None,
         io: CellIo | None = None,
         seed: int = 0,
         speed: float | None = None,
@@ -89,6 +98,7 @@ class SoftwareKrc:
         trace_kinds: frozenset[str] = frozenset({"motion", "io", "telegram", "message"}),
         dialog: Callable[[ShownMessage], int] | None = None,
         home_axes_deg: Axes = HOME,
+        statement_s: float = STATEMENT_S,
     ) -> None:
         self._io = io
         self._trace = trace
@@ -100,6 +110,7 @@ class SoftwareKrc:
             message_shown=self._message_shown,
             dialog=dialog or _no_answer,
         )
+        self._outputs_hold = False
         self._kernel = kernel = Kernel(arm=robot, home=home_axes_deg, hooks=hooks, seed=seed, speed=speed)
         kernel.eki = EthernetKrl(
             dict(eki_configs or {}),
@@ -107,16 +118,19 @@ class SoftwareKrc:
             set_out=kernel.io.outputs.put,
             rng=kernel.rng,
             addresses=eki_addresses,
+            link=eki_link,
+            wire=eki_wire,
+            clock=lambda: kernel.clock.now_s,
             on_telegram=self._telegram,
             on_notice=lambda channel, text: self._emit("message", f"EKI {channel}: {text}"),
         )
+        kernel.statement_s = statement_s
         if "statement" in self._kinds:
             kernel.interpreter.on_statement = self._statement
         kernel.motion.reports_every_step = speed is not None or "path" in self._kinds
         found = read_project(sources) if isinstance(sources, Path) else dict(sources)
         self.diagnostics: list[Diagnostic] = []
         self._load(found)
-        self._power_on = self._snapshot()
 
     def _load(self, sources: Mapping[str, bytes]) -> None:
         project = self._kernel.project
@@ -134,9 +148,7 @@ class SoftwareKrc:
         A HALT ends the run with status ``halted``; `go_on` presses Start again.
         """
         kernel = self._kernel
-        kernel.cancelled.clear()
-        kernel.stopped = None
-        kernel.is_halted = False
+        kernel.begin()
         found = self._find_program(program)
         if isinstance(found, RunResult):
             return found
@@ -153,8 +165,8 @@ class SoftwareKrc:
         return self._run_on(max_wall_s)
 
     def go_on(self, *, max_wall_s: float) -> RunResult:
-        """Press Start after a HALT."""
-        self._kernel.is_halted = False
+        """Press Start after a HALT, an emergency stop or a change of the mode."""
+        self._kernel.begin()
         return self._run_on(max_wall_s)
 
     def _run_on(self, max_wall_s: float) -> RunResult:
@@ -165,14 +177,10 @@ class SoftwareKrc:
         try:
             while result is None:
                 pause = None if interpreter.is_done else interpreter.run_slice(kernel.quota)
-                if kernel.is_halted:
-                    result = self._result("halted", RunMessage.HALT, "HALT")
+                if kernel.ending is not None:
+                    result = self._result(kernel.ending.status, kernel.ending.number, kernel.ending.text)
                 elif interpreter.is_done and not kernel.motion.is_busy:
                     result = self._result("done", 0, "")
-                elif kernel.cancelled.is_set():
-                    result = self._result("cancelled", RunMessage.CANCELLED, "the program was cancelled")
-                elif kernel.stopped is not None:
-                    result = self._result("error", *kernel.stopped)
                 elif time.monotonic() >= deadline:
                     text = f"the program did not end within {max_wall_s:g} s"
                     result = self._result("deadline", RunMessage.DEADLINE, text)
@@ -181,8 +189,10 @@ class SoftwareKrc:
         except KrlError as error:
             result = self._result("error", error.number, error.text)
             kernel.messages.show("QUIT", "KRC", error.number, f"{error.text} ({result.file} {result.line})")
-        if result.status != "halted":
+        if result.status not in _CAN_GO_ON:
             self._deselect()
+        if result.status == "power_lost":
+            self._switch_on()
         return result
 
     def _result(self, status: str, number: int, message: str) -> RunResult:
@@ -213,8 +223,44 @@ class SoftwareKrc:
         return module.main, module
 
     def cancel(self) -> None:
-        """Cancel the program from another thread."""
-        self._kernel.cancelled.set()
+        """Cancel the program before its next statement; from any thread."""
+        self._kernel.end("cancelled", RunMessage.CANCELLED, "the program was cancelled")
+
+    def emergency_stop(self) -> None:
+        """Press the emergency stop; from any thread.  `go_on` is Start after it was released and acknowledged."""
+        self._kernel.end("stopped", RunMessage.EMERGENCY_STOP, "Emergency stop")
+        self._kernel.system.write("$ALARM_STOP", value=False)
+        self._kernel.system.write("$STOPMESS", value=True)
+
+    def release_emergency_stop(self) -> None:
+        """Release the emergency stop and acknowledge it."""
+        self._kernel.system.write("$ALARM_STOP", value=True)
+        self._kernel.system.write("$STOPMESS", value=False)
+
+    def change_mode(self, mode: str) -> None:
+        """Turn the key to T1, T2, AUT or EX: a program that runs is stopped; `go_on` is Start in the new mode."""
+        if mode.upper() not in _MODES:
+            msg = f"{mode} is no mode of operation; there are {', '.join(_MODES)}"
+            raise ValueError(msg)
+        self._kernel.system.write("$MODE_OP", EnumConstant(mode.upper()))
+        self._kernel.end("stopped", RunMessage.MODE_CHANGED, f"mode of operation changed to {mode.upper()}")
+
+    def power_loss(self, *, outputs_hold: bool = False) -> None:
+        """Cut the power; from any thread, or from the trace of a statement, which is then not executed.
+
+        What stands in data lists persists and so does the place of the arm; flags, timers and connections do not, and
+        outputs only if ``outputs_hold``.  `run` afterwards is a start after switching on again.
+        """
+        self._outputs_hold = outputs_hold
+        self._kernel.end("power_lost", RunMessage.POWER_LOST, "power lost")
+
+    def _switch_on(self) -> None:
+        kernel = self._kernel
+        kernel.io.flags.flags.clear()
+        kernel.io.timers.clear()
+        if not self._outputs_hold:
+            kernel.io.outputs.drop()
+        kernel.eki.close_all()
 
     def close(self) -> None:
         """Close every connection; may be called twice."""
@@ -313,12 +359,6 @@ class SoftwareKrc:
         scope = self._kernel.project.modules.get(stem_of(module)) if module else None
         compiler = ExpressionCompiler(self._kernel.project, scope, Code("", ""))
         return compiler.place(statement.target)(Activation(compiler.code, []))
-
-    def _snapshot(self) -> dict[str, dict[str, Value]]:
-        return {
-            module.name: {name: copy_value(cell.value) for name, cell in module.data.items()}
-            for module in self._kernel.project.modules.values()
-        }
 
 
 def _no_answer(_: ShownMessage) -> int:

@@ -42,6 +42,7 @@ class Interpreter:
         self.interrupts = Interrupts(self._level_of)
         self.statements = 0
         self.on_statement: StatementHook | None = None
+        self.stops = False  # set from any thread: nothing is executed from now on
         self._codes: dict[int, Code] = {}
         self._routines: list[Routine] = []  # kept alive, so that an id stands for one routine
         self._cycflags: dict[int, tuple[Function, Activation]] = {}
@@ -102,9 +103,11 @@ class Interpreter:
             while count < quota and stack:
                 top = stack[-1]
                 pc = top.pc
-                top.pc = pc + 1
                 if hook is not None:
                     hook(top.code.file, top.code.lines[pc])
+                    if self.stops:  # whoever watches the statements ended the program before this one
+                        return Pause.CONDITION
+                top.pc = pc + 1
                 count += 1
                 try:
                     pause = top.code.operations[pc](top)
@@ -115,7 +118,7 @@ class Interpreter:
                 if pause is not None:
                     count -= 1
                     return pause
-                if self.host.is_halted:
+                if self.stops:
                     return Pause.CONDITION
         finally:
             self.statements += count

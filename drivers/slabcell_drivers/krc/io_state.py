@@ -65,6 +65,11 @@ class Bits:
         """Reset all bits without telling anybody."""
         self._bits.clear()
 
+    def drop(self) -> None:
+        """Reset every bit that is set, as when the power goes."""
+        for number in [n for n, value in self._bits.items() if value]:
+            self.put(number, False)  # noqa: FBT003  # a bit is a value
+
 
 class Analog:
     """$ANIN or $ANOUT: values from -1 to 1."""
@@ -104,9 +109,14 @@ class Timers:
             value += (self._clock.now_s - started) * 1000.0
         return math.floor(value + 1e-6)
 
-    def is_running(self) -> bool:
-        """Tell whether any timer counts."""
-        return bool(self._started_s)
+    def clear(self) -> None:
+        """Stop all timers at 0."""
+        self._base_ms.clear()
+        self._started_s.clear()
+
+    def is_counting(self, number: int) -> bool:
+        """Tell whether a timer runs."""
+        return number in self._started_s
 
     def get(self, indices: tuple[Value, ...]) -> Value:
         """Return $TIMER[n]."""
@@ -135,18 +145,16 @@ class TimerStops:
 
     def __init__(self, timers: Timers) -> None:
         self._timers = timers
-        self._stopped: dict[int, bool] = {}
 
     def get(self, indices: tuple[Value, ...]) -> Value:
         """Tell whether a timer is stopped."""
-        return self._stopped.get(_index(indices, TIMER_COUNT, "$TIMER_STOP"), True)
+        return not self._timers.is_counting(_index(indices, TIMER_COUNT, "$TIMER_STOP"))
 
     def set(self, indices: tuple[Value, ...], value: Value) -> None:
         """Stop a timer, or let it run."""
         number = _index(indices, TIMER_COUNT, "$TIMER_STOP")
         if type(value) is not bool:
             raise KrlError(RunMessage.TYPE, f"$TIMER_STOP[{number}]: {text_of(value)} is no BOOL")
-        self._stopped[number] = value
         self._timers.stop(number, stopped=value)
 
 

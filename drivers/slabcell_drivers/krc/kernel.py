@@ -8,7 +8,6 @@ network can bring.
 import heapq
 import itertools
 import random
-import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from slabcell_drivers.krc.builtins_basic import BASIC_BUILTINS
 from slabcell_drivers.krc.builtins_eki import EKI_BUILTINS
 from slabcell_drivers.krc.builtins_messages import MESSAGE_BUILTINS
 from slabcell_drivers.krc.builtins_motion import MOTION_BUILTINS
+from slabcell_drivers.krc.cells import Place
 from slabcell_drivers.krc.clock import Clock
 from slabcell_drivers.krc.code import Activation, Code, Pause
 from slabcell_drivers.krc.compile_expressions import ExpressionCompiler
@@ -43,6 +43,15 @@ STATEMENT_S = 50e-6
 """Time that one operation takes: 240 of them in a tick.  Not published; loops that wait without WAIT need some."""
 
 BUILTINS: Mapping[str, Builtin] = {**BASIC_BUILTINS, **MOTION_BUILTINS, **MESSAGE_BUILTINS, **EKI_BUILTINS}
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """Why a program stops: the status of its result, number and text of the message."""
+
+    status: str
+    number: int
+    text: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,14 +94,13 @@ class Kernel:
         )
         self.interpreter = Interpreter(self, self.project, self.motion, self.clock)
         self.eki: EthernetKrl = EthernetKrl({}, set_flag=self._set_flag, set_out=self._set_out, rng=self.rng)
-        self.is_halted = False
         self.error_text = ""
-        self.cancelled = threading.Event()
-        self.stopped: tuple[int, str] | None = None
+        self.ending: Ending | None = None
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._event_numbers = itertools.count()
         self._network_is_due = False
         self._operator_is_due = False
+        self.open_dialog: tuple[int, Place] | None = None
         self._wall_s = time.monotonic()
 
     def _predefined_type(self, name: str) -> KrlType:
@@ -187,7 +195,18 @@ class Kernel:
     def halt(self, a: Activation) -> None:
         """HALT."""
         del a
-        self.is_halted = True
+        self.end("halted", RunMessage.HALT, "HALT")
+
+    def end(self, status: str, number: int, text: str) -> None:
+        """Let the program stop before its next statement; from any thread.  The first reason counts."""
+        if self.ending is None:
+            self.ending = Ending(status, int(number), text)
+        self.interpreter.stops = True
+
+    def begin(self) -> None:
+        """Let the program run: nothing holds it."""
+        self.ending = None
+        self.interpreter.stops = False
 
     def confirm(self, message: Value) -> None:
         """CONFIRM: acknowledge one message, or all."""
@@ -214,7 +233,7 @@ class Kernel:
         return None if place is None else place.value
 
     def variable_state(self, name: str) -> str:
-        """Return DECLARED, INITIALIZED or UNDEFINED, for VARSTATE."""
+        """Return DECLARED, INITIALIZED or UNKNOWN, for VARSTATE."""
         module = None
         stack = self.interpreter.stack
         if stack:
@@ -227,11 +246,11 @@ class Kernel:
         compiler = ExpressionCompiler(self.project, module, Code("", ""))
         node = _expression(name)
         if node is None:
-            return "UNDEFINED"
+            return "UNKNOWN"
         try:
             return _state_of(compiler.place(node)(Activation(compiler.code, [])).value)
         except KrlError:
-            return "UNDEFINED"
+            return "UNKNOWN"
 
     def evaluate_text(self, content: str) -> Value:
         """Return the value of an expression given as a text.  Raises KrlError."""

@@ -1,7 +1,7 @@
 """With which number and text does the controller stop a program?
 
-1422 and 1123 are the controller's own, seen in public reports.  The others are not public: ours, above its range.
-The texts name what to look at.
+1422 and 1123 are the controller's own, seen in public reports; 1430 is in public copies of its BAS.SRC.  The others are
+not public: ours, above its range.  The texts name what to look at.
 """
 
 from enum import IntEnum
@@ -26,11 +26,13 @@ class RunMessage(IntEnum):
     NO_RESULT = 91010
     RESUME = 91011
     FIRST_MOTION = 91012
-    INTERRUPT = 91013
+    INTERRUPT = 1430
     NOT_SUPPORTED = 91014
     NOT_TAUGHT = 91015
     SYNTAX = 91020
     NO_PROGRAM = 91021
+    MODE_CHANGED = 91034
+    POWER_LOST = 91035
     HALT = 91030
     CANCELLED = 91031
     DEADLINE = 91032

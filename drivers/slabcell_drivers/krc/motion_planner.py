@@ -15,6 +15,7 @@ from slabcell_drivers.krc.motion import (
     plan_lin,
     plan_ptp,
 )
+from slabcell_drivers.krc.motion_blend import Approximation, blend
 from slabcell_drivers.krc.operators import FRAME_FIELDS, frame_of
 from slabcell_drivers.krc.values import StructValue, Value, text_of
 from slabcell_drivers.robot.arm import ArmError, ArmModel, Axes
@@ -270,20 +271,27 @@ class MotionPlanner:
         """Return how long before its end a motion passes into the next one."""
         settings = self._variables.read("$APO")
         fields = settings.fields if isinstance(settings, StructValue) else {}
-        half = min(before.duration_s, after.duration_s) / 2
-        if order.approximation[0] == "C_PTP":
-            return half * min(1.0, float(fields.get("CPTP") or 0.0) / 100.0)
-        if order.approximation[0] == "C_VEL":
-            return half * (1.0 - min(1.0, float(fields.get("CVEL") or 100.0) / 100.0))
-        distance_mm = float(fields.get("CDIS") or 0.0)
-        end = self.arm.forward_pose(before.end_axes).position
-        time_s = 0.0
-        while time_s + INTERPOLATION_TICK_S <= half:
-            here = self.arm.forward_pose(before.axes_at(before.duration_s - time_s - INTERPOLATION_TICK_S)).position
-            if sum((here[i] - end[i]) ** 2 for i in range(3)) > distance_mm * distance_mm:
-                break
-            time_s += INTERPOLATION_TICK_S
-        return time_s
+
+        def setting(name: str) -> float | None:
+            value = fields.get(name)
+            return None if value is None else float(value)
+
+        words = order.approximation
+        approximation = Approximation(
+            distance_mm=(setting("CDIS") or 0.0) if words[0] in {"C_DIS", "C_SPL"} or "C_DIS" in words else None,
+            angle_deg=(setting("CORI") or 0.0) if "C_ORI" in words else None,
+            percent=self._share(words[0], setting("CPTP"), setting("CVEL")),
+        )
+        return before.duration_s - blend(before, after, approximation).begins_s
+
+    @staticmethod
+    def _share(word: str, cptp: float | None, cvel: float | None) -> float:
+        """Return the share of the slowing down that is given up: $APO.CPTP, or what $APO.CVEL leaves of the speed."""
+        if word == "C_PTP":
+            return min(100.0, cptp or 0.0)
+        if word == "C_VEL":
+            return 100.0 if cvel is None else max(0.0, 100.0 - cvel)
+        return 100.0
 
     def trigger_time_s(self, trajectory: Trajectory, kind: str, trigger: "TriggerOrder") -> float:
         """Return when in its motion a trigger fires; before the start counts as the start."""

@@ -8,6 +8,8 @@ from slabcell_drivers.krc.clock import Clock
 __all__ = ["MessageWindow", "ShownMessage"]
 
 MAX_MESSAGES = 1000
+ACKNOWLEDGED_AFTER_S = 1.0
+"""How long the operator lets a message stand that has to be acknowledged: programs wait for it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +41,7 @@ class MessageWindow:
         self._next_handle = 1
         self.log: list[ShownMessage] = []
         self._open: dict[int, ShownMessage] = {}
+        self.acknowledged_after_s: float | None = ACKNOWLEDGED_AFTER_S
         self._answers: dict[int, int] = {}
 
     def show(self, kind: str, originator: str, number: int, text: str, softkeys: tuple[str, ...] = ()) -> int:
@@ -54,13 +57,25 @@ class MessageWindow:
         self._shown(message)
         return message.handle
 
+    @property
+    def last_handle(self) -> int:
+        """The handle of the message shown last."""
+        return self._next_handle - 1
+
     def clear(self, handle: int) -> bool:
         """Take a message away; return whether it was there."""
         return self._open.pop(handle, None) is not None
 
     def is_open(self, handle: int) -> bool:
-        """Tell whether a message is still shown."""
-        return handle in self._open
+        """Tell whether a message is still shown; one to be acknowledged is, after its time."""
+        message = self._open.get(handle)
+        if message is None:
+            return False
+        patience = self.acknowledged_after_s
+        if message.kind == "QUIT" and patience is not None and self._clock.now_s >= message.time_s + patience:
+            del self._open[handle]
+            return False
+        return True
 
     def answered(self, handle: int) -> int | None:
         """Return the softkey that answered a dialog, None while it stands open."""

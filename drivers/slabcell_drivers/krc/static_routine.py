@@ -234,9 +234,11 @@ class RoutineChecker:
                 self._error(call.place, "arguments", f"{call.name}() takes {expected} arguments, {count} are given")
             return
         routine, _ = found
-        if count != len(routine.parameters):
-            message = f"{call.name}() takes {len(routine.parameters)} arguments, {count} are given"
+        message = f"{call.name}() takes {len(routine.parameters)} arguments, {count} are given"
+        if count > len(routine.parameters):
             self._error(call.place, "arguments", message)
+        elif count < len(routine.parameters):
+            self._warn(call.place, "arguments", f"{message}; those left out have no value")
         for argument, parameter in zip(call.arguments, routine.parameters, strict=False):
             if parameter.mode == "OUT" and argument is not None and not isinstance(argument, Name | Index | Member):
                 message = f"{call.name}() writes to its parameter {parameter.name}; {describe(argument)} is no variable"

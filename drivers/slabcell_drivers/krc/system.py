@@ -194,6 +194,11 @@ class SystemVariables:
         self._variable("$ACT_TOOL_C", INT, 0)
         self._variable("$ACT_BASE_C", INT, 0)
         self._variable("$ACT_EX_AX", INT, 0)
+        self._variable("$NUM_AX", INT, 6)
+        self._variable("$EX_AX_NUM", INT, 0)
+        self._variable("$KINCLASS", None, EnumConstant("STANDARD"))
+        self._variable("$ADAP_ACC", None, EnumConstant("NONE"))
+        self._variable("$TCP_IPO", BOOL, value=False)
         self._variable("$PAL_MODE", BOOL, value=False)
         self._variable("$H_POS", self._struct("E6AXIS"))
 
@@ -255,7 +260,10 @@ class SystemVariables:
                 "MODULE": CharArray(24, module[:24]),
                 "LINE_NR": line,
                 "UP_NAME": CharArray(24, routine[:24]),
-                "INT_TYPE": EnumConstant("I_R" if number else "I_NONE"),
+                "INTERPRETER": EnumConstant("R_INT"),
+                "INT_TYPE": EnumConstant("I_NORMAL"),
+                "INT_PRIO": 0,
+                "TRIGGER_TYPE": EnumConstant("TRG_NONE"),
             },
         )
         self.write("$ERR", value)
