@@ -1,10 +1,14 @@
-"""How are stored pictures taken again?  A directory of image files behind the `Camera` protocol, one for each trigger.
+"""How are stored pictures taken again?  Image files and cycle bundles behind the `Camera` protocol, one a trigger.
 
-It is *not* responsible for what belongs to the pictures (calibration, truth, results); it serves pixels.
+A bundle is a zip file that holds the picture as ``frame.png``.  Files come from anywhere: what is too large, damaged or
+no picture is refused by name.  The replay is *not* responsible for what belongs to the pictures (calibration, truth,
+results); it serves pixels.
 """
 
 import asyncio
 import time
+import zipfile
+import zlib
 from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
@@ -26,6 +30,8 @@ from slabcell_drivers.camera.protocol import (
 __all__ = ["ReplayCamera", "ReplayMode"]
 
 SUFFIXES = frozenset({".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg", ".pgm", ".ppm", ".webp"})
+BUNDLE_SUFFIX = ".zip"
+BUNDLE_MEMBER = "frame.png"
 MAX_FILE_BYTES = 512 << 20
 MAX_FILES = 100_000
 
@@ -40,7 +46,7 @@ class ReplayMode(StrEnum):
 
 
 class ReplayCamera:
-    """A `Camera` that serves the pictures of a directory, or the given files, in the order of their names."""
+    """A `Camera` that serves the pictures of a directory in the order of their names, one file, or given files."""
 
     def __init__(
         self, source: Path | Sequence[Path], *, mode: ReplayMode = ReplayMode.ONCE, serial: str = "REPLAY"
@@ -64,6 +70,15 @@ class ReplayCamera:
     def upcoming(self) -> Path | None:
         """The file that the next trigger shows, None before `open` and after the last."""
         return self._files[self._next] if self._next < len(self._files) else None
+
+    def choose(self, name: str) -> None:
+        """Let the next trigger show the file of this name; the ones after it follow.  Raises KeyError by name."""
+        for index, file in enumerate(self._files):
+            if file.name == name:
+                self._next = index
+                return
+        msg = f"camera {self._serial}: no picture {name!r} among the {len(self._files)} of this replay"
+        raise KeyError(msg)
 
     async def open(self, timeout_s: float) -> CameraInfo:
         """List the files and look at the first; the replay begins at the first file.  Raises `CameraError`."""
@@ -124,10 +139,12 @@ class ReplayCamera:
 
 def _list(source: Path | Sequence[Path]) -> tuple[Path, ...]:
     if isinstance(source, Path):
+        usual = SUFFIXES | {BUNDLE_SUFFIX}
         try:
-            found = sorted(path for path in source.iterdir() if path.suffix.lower() in SUFFIXES)
+            whole = [source] if source.is_file() else sorted(source.iterdir())
+            found = [path for path in whole if path.suffix.lower() in usual]
         except OSError as error:
-            msg = f"{source}: cannot be read as a directory of pictures: {error.strerror}"
+            msg = f"{source}: cannot be read: {error.strerror}"
             raise CameraLost(msg) from error
     else:
         found = list(source)
@@ -147,10 +164,14 @@ def _read(file: Path) -> Pixels:
         if size > MAX_FILE_BYTES:
             msg = f"{file}: has {size} bytes; at most {MAX_FILE_BYTES} are read"
             raise CameraIncomplete(msg)
-        raw = np.frombuffer(file.read_bytes(), np.uint8)
+        content = _from_bundle(file) if file.suffix.lower() == BUNDLE_SUFFIX else file.read_bytes()
+        raw = np.frombuffer(content, np.uint8)
         image = cv2.imdecode(raw, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR) if len(raw) else None
     except OSError as error:
         msg = f"{file}: cannot be read: {error.strerror}"
+        raise CameraIncomplete(msg) from error
+    except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError) as error:
+        msg = f"{file}: is not a bundle that can be read: {error}"
         raise CameraIncomplete(msg) from error
     except cv2.error as error:
         msg = f"{file}: is not a picture that can be decoded: {error.err}"
@@ -166,6 +187,20 @@ def _read(file: Path) -> Pixels:
         msg = f"{file}: has pixels of type {image.dtype}; 8 and 16 bits are read"
         raise CameraIncomplete(msg)
     return np.asarray(image, np.uint8)
+
+
+def _from_bundle(file: Path) -> bytes:
+    """Return the picture file that a bundle holds, never more than the limit, whatever its directory claims."""
+    with zipfile.ZipFile(file) as archive:
+        if BUNDLE_MEMBER not in archive.namelist():
+            msg = f"{file}: holds no {BUNDLE_MEMBER}: that cycle has no picture"
+            raise CameraIncomplete(msg)
+        with archive.open(BUNDLE_MEMBER) as member:
+            content = member.read(MAX_FILE_BYTES + 1)
+    if len(content) > MAX_FILE_BYTES:
+        msg = f"{file}: its {BUNDLE_MEMBER} has more than {MAX_FILE_BYTES} bytes"
+        raise CameraIncomplete(msg)
+    return content
 
 
 def _format(pixels: Pixels) -> str:

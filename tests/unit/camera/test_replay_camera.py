@@ -1,3 +1,4 @@
+import zipfile
 from pathlib import Path
 
 import cv2
@@ -107,6 +108,63 @@ async def test_a_source_without_pictures_is_refused_by_name(tmp_path: Path, name
 
     with pytest.raises(CameraError, match=name):
         await camera.open(1.0)
+
+
+def bundle(path: Path, content: dict[str, bytes]) -> Path:
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in content.items():
+            archive.writestr(name, data)
+    return path
+
+
+def png(level: int) -> bytes:
+    return cv2.imencode(".png", np.full((6, 8), level, np.uint8))[1].tobytes()
+
+
+async def test_the_pictures_of_cycle_bundles_are_shown_too(tmp_path: Path) -> None:
+    for level in (7, 9):
+        bundle(tmp_path / f"cycle{level}.zip", {"manifest.json": b"{}", "frame.png": png(level)})
+    camera = ReplayCamera(tmp_path)
+    await camera.open(1.0)
+
+    assert await levels(camera, 2) == [7, 9]
+
+    alone = ReplayCamera(tmp_path / "cycle9.zip")
+    await alone.open(1.0)
+    assert await levels(alone, 1) == [9]
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ({"manifest.json": b"{}"}, "holds no frame.png"),
+        ({"frame.png": b"not a picture"}, "is not a picture"),
+        (None, "is not a bundle"),
+    ],
+)
+async def test_a_bundle_without_a_good_picture_is_refused_by_name(
+    tmp_path: Path, content: dict[str, bytes] | None, says: str
+) -> None:
+    path = tmp_path / "cycle.zip"
+    if content is None:
+        path.write_bytes(b"PK but no more")
+    else:
+        bundle(path, content)
+
+    with pytest.raises(CameraIncomplete, match=rf"cycle\.zip: .*{says}"):
+        await ReplayCamera(path).open(1.0)
+
+
+async def test_a_chosen_picture_comes_next_and_the_others_follow_it(folder: Path) -> None:
+    camera = ReplayCamera(folder)
+    await camera.open(1.0)
+
+    camera.choose("c.tif")
+    assert await levels(camera, 1) == [3]
+    camera.choose("b.png")
+    assert await levels(camera, 2) == [1, 3]
+    with pytest.raises(KeyError, match=r"no picture 'd\.png' among the 3"):
+        camera.choose("d.png")
 
 
 async def test_opening_again_begins_at_the_first_picture(folder: Path) -> None:
