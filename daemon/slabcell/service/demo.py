@@ -109,7 +109,7 @@ async def run_demo(options: DemoOptions, progress: Progress) -> Document:
     out = _folder(options.out)
     simulated = SimulatedCell(parts.scene, options.seed, parts.arm, parts.config.robot.tool.to_frame())
 
-    boards = len(camera_views(parts.scene, options.seed)) + len(plane_views(parts.scene, options.seed))
+    boards = len(camera_views(parts.scene, options.seed)) + len(plane_views(parts.scene))
     progress.stage("calibrating from pictures of a board", boards)
     calibration, lens, plane = await asyncio.to_thread(
         calibrate_from_boards, parts.scene, options.seed, progress.advance

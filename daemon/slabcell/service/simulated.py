@@ -4,6 +4,7 @@ The world is the truth: slabs move in it only when the gripper carries them.  Th
 moves its tool, and two wires join robot and gripper: an output that grips and an input that feels a part.
 """
 
+import itertools
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from importlib.resources import files
@@ -129,13 +130,15 @@ def calibrate_from_boards(
     """
     board = Board.parse(scene.board.name)
 
+    noise_seeds = itertools.count(1000 * seed)
+
     def pictures(kind: str, poses: Iterable[Frame]) -> Iterable[tuple[str, Picture]]:
         for index, pose in enumerate(poses):
-            picture = render_board(scene.camera, scene.optics, scene.board, pose, seed=1000 * seed + index)
+            picture = render_board(scene.camera, scene.optics, scene.board, pose, seed=next(noise_seeds))
             yield f"{kind} {index + 1}", picture
 
     held, failures = detect_boards(pictures("view", camera_views(scene, seed)), board, done=done)
-    laid, failures_on_table = detect_boards(pictures("table", plane_views(scene, seed)), board, done=done)
+    laid, failures_on_table = detect_boards(pictures("table", plane_views(scene)), board, done=done)
     if failures or failures_on_table:
         raise CalibrationError("\n".join(failures + failures_on_table))
     lens = calibrate_camera(held, board, serial=scene.camera.serial)
