@@ -1,0 +1,463 @@
+"""Robot, link and power fail anywhere in a job: no slab is picked twice, none is lost without a record.
+
+The shipped programs on the software KRC, over TCP, with the real cell and its ledger; camera and vision are replaced by
+the truth about the table.  A seed chooses what fails and when; the short test takes fresh seeds and prints the first.
+
+The large counts: ``python -m pytest -m slow tests/integration/test_krl_programs_faults.py``, with
+``SLABCELL_FAULT_SEEDS=1000`` for the number of seeds and ``SLABCELL_FAULT_FIRST=0`` for the first one.
+"""
+
+import asyncio
+import itertools
+import math
+import os
+import random
+import secrets
+import shutil
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slabcell.calibration.model import Calibration, CameraIdentity, Lens, TablePlane
+from slabcell.cell.cell import Cell
+from slabcell.cell.ledger import Ledger, LedgerFile
+from slabcell.cell.records import OfferState, PlacementRecord
+from slabcell.cell.settings import CellSettings
+from slabcell.geometry import PlanarPose, Polygon, RigidTransform2D
+from slabcell.recipe import Recipe
+from slabcell.template import Template
+from slabcell.vision.result import ImagePose, LocatedPart, LocateResult, Sigma
+from slabcell_drivers.camera.protocol import CameraInfo, CameraState, ImageFrame
+from slabcell_drivers.krc import SoftwareKrc, read_project
+from slabcell_drivers.krc.eki_faults import Fault, LinkFaults, Way
+from slabcell_drivers.robot.arm import KR3_R540
+from slabcell_drivers.robot.eki import EkiServer
+from slabcell_drivers.robot.frame import Frame
+
+pytestmark = pytest.mark.integration
+KRL = Path(__file__).parents[2] / "krl"
+SOURCES = read_project(KRL)
+CHANNEL = (KRL / "SlabCell.xml").read_bytes()
+
+SLABS = 3
+THICKNESS_MM = 10.0
+TOOL = Frame(z_mm=260.0)
+PICK_BASE = Frame(190.0, -290.0, 0.0, 1.5)
+PLACE_BASE = Frame(200.0, 80.0, 0.0, -1.0)
+PICK_AREA = Polygon.from_points([(-30, 10), (150, 0), (232, 100), (240, 315), (-20, 322)])
+START = (PlanarPose(30, 60, 20.0), PlanarPose(120, 90, -70.0), PlanarPose(70, 200, 130.0))
+SLOTS = tuple(Polygon.from_points([(x, 0), (x + 35, 0), (x + 35, 35), (x, 35)]) for x in (0, 36, 72))
+
+NORMAL_TELEGRAMS = 16
+"""Telegrams each way of a job of three slabs without a fault."""
+NORMAL_STATEMENTS = 3650
+"""Statements of the same job."""
+MAX_LIVES = 8
+"""How often the robot may be started in one run of the test."""
+MAX_WALL_S = 20.0
+
+
+def tool_down(base, pose):
+    """The frame in the root of a point on a slab's upper face, tool Z down."""
+    return base @ Frame(pose.x_mm, pose.y_mm, THICKNESS_MM, pose.a_deg, 0.0, 180.0)
+
+
+def slot_pose(slot):
+    x, y = SLOTS[slot].centroid
+    return PlanarPose(float(x), float(y), 0.0)
+
+
+class PowerFailure(Exception):  # noqa: N818 - what happens is no error of the program
+    """The controller is off."""
+
+
+class Cancelled(Exception):  # noqa: N818 - as above
+    """Somebody cancelled the program."""
+
+
+class Table:
+    """The truth: where every slab lies, what hangs at the gripper, and how often each slab was gripped."""
+
+    def __init__(self):
+        self.slabs = [tool_down(PICK_BASE, pose) for pose in START]
+        self.held = None
+        self.grips = []
+        self.vacuum = False
+        self.krc = None
+        self._grip = Frame()
+
+    def output_changed(self, index, value, tcp):
+        if index != 1:
+            return
+        if value:
+            self.take(tcp)
+        else:
+            self.let_go(tcp)
+
+    def take(self, tcp):
+        self.vacuum = True
+        near = [i for i, slab in enumerate(self.slabs) if math.dist(slab.as_tuple()[:3], tcp.as_tuple()[:3]) < 1.0]
+        if near and self.held is None:
+            self.held = near[0]
+            self.grips.append((self.held, self.in_slot(self.held)))
+            self._grip = tcp.inverse() @ self.slabs[self.held]
+        self.krc.set_input(1, self.held is not None)
+
+    def let_go(self, tcp):
+        self.vacuum = False
+        if self.held is not None:
+            pose = tcp @ self._grip
+            self.slabs[self.held] = Frame(pose.x_mm, pose.y_mm, THICKNESS_MM, pose.a_deg, 0.0, 180.0)  # it falls flat
+            self.held = None
+        if self.krc is not None:
+            self.krc.set_input(1, False)
+
+    def moved(self, tcp):
+        if self.held is not None:
+            self.slabs[self.held] = tcp @ self._grip
+
+    def in_slot(self, slab):
+        nominal = tool_down(PLACE_BASE, slot_pose(slab))
+        return self.held != slab and math.dist(self.slabs[slab].as_tuple()[:3], nominal.as_tuple()[:3]) < 0.5
+
+    def on_pick_side(self, slab):
+        """The slab's pose on the table, if the camera can find it there."""
+        pose = PICK_BASE.inverse() @ self.slabs[slab]
+        inside = PICK_AREA.shape.covers(
+            Polygon.from_points(
+                [(pose.x_mm - 1, pose.y_mm - 1), (pose.x_mm + 1, pose.y_mm - 1), (pose.x_mm, pose.y_mm + 1)]
+            ).shape
+        )
+        seen = self.held != slab and inside and not self.in_slot(slab)
+        return PlanarPose(pose.x_mm, pose.y_mm, pose.a_deg) if seen else None
+
+
+class TrueEyes:
+    """Sees what is true."""
+
+    def __init__(self, table):
+        self._table = table
+
+    def locate(self, image, *, area_mm, free_slots):
+        found = [(slot, self._table.on_pick_side(slot)) for slot in sorted(free_slots)]
+        parts = tuple(self._part(slot, pose) for slot, pose in found if pose is not None)
+        empty = tuple(slot for slot, pose in found if pose is None)
+        return LocateResult(parts, (), empty, {"total": 0.1})
+
+    def _part(self, slot, pick):
+        place = slot_pose(slot)
+        nothing = np.zeros((0, 2))
+        motion = RigidTransform2D(place.a_deg - pick.a_deg, 0.0, 0.0)
+        image = ImagePose(1.0, 1.0, 0.0)
+        return LocatedPart(slot, 0.99, 0.01, 4, image, motion, pick, place, Sigma(0.01, 0.01, 0.01), nothing)
+
+    def measure(self, image, *, assembly_in_table, slots):
+        return tuple(PlacementRecord(s, self._table.in_slot(s), 0.0, 0.0, 0.0, 0.01) for s in sorted(slots))
+
+
+class GreyCamera:
+    """Delivers a picture that nobody looks at."""
+
+    state = CameraState.READY
+
+    def __init__(self):
+        self._numbers = itertools.count(1)
+
+    async def open(self, timeout_s):
+        return CameraInfo("none", "grey", "1", 64, 48, "Mono8")
+
+    async def snap(self, timeout_s):
+        now = time.monotonic()
+        return ImageFrame(np.full((48, 64), 90, np.uint8), "Mono8", next(self._numbers), now, now)
+
+    async def close(self):
+        pass
+
+
+def make_cell(table, ledger):
+    down = np.diag([1.0, -1.0, -1.0])
+    lens = Lens(np.array([[400.0, 0, 32], [0, 400.0, 24], [0, 0, 1]]), np.zeros(5))
+    calibration = Calibration(CameraIdentity(64, 48), lens, TablePlane(down, np.array([0.0, 0.0, 1000.0])))
+    recipe = Recipe.from_template(Template("squares", SLOTS, "a" * 64), THICKNESS_MM)
+    settings = CellSettings(PICK_BASE, PLACE_BASE, TOOL, PICK_AREA)
+    return Cell(GreyCamera(), calibration, recipe, arm=KR3_R540, settings=settings, ledger=ledger, eyes=TrueEyes(table))
+
+
+@dataclass
+class Plan:
+    """What fails in one run."""
+
+    link: list[tuple[Way, Fault, int]] = field(default_factory=list)
+    delay_s: float = 0.05
+    stop_at: list[tuple[str, int]] = field(default_factory=list)
+    """What stops the robot, and at which statement.
+
+    "cancel"; "power_hold": power loss, with a valve that keeps the vacuum; "power_drop": one that lets go.
+    """
+    restart_at: list[int] = field(default_factory=list)
+    """Telegrams, both ways counted, at which the cell is stopped and started again."""
+
+    @classmethod
+    def of(cls, seed):
+        rng = random.Random(seed)
+        faults = [fault for fault in Fault if fault is not Fault.NONE]
+        plan = cls(delay_s=rng.choice([0.01, 0.05, 0.3]))
+        plan.link = [
+            (rng.choice(list(Way)), rng.choice(faults), rng.randrange(NORMAL_TELEGRAMS))
+            for _ in range(rng.randrange(4))
+        ]
+        kinds = ["cancel", "power_hold", "power_drop"]
+        plan.stop_at = [(rng.choice(kinds), rng.randrange(1, NORMAL_STATEMENTS)) for _ in range(rng.randrange(3))]
+        plan.restart_at = sorted(rng.sample(range(2 * NORMAL_TELEGRAMS), rng.choice([0, 0, 0, 1, 2])))
+        return plan
+
+
+@dataclass
+class Outcome:
+    """How a run ended."""
+
+    ended: str
+    messages: list[str]
+    table: Table
+    offers: list
+    job_state: str
+
+
+class Run:
+    """One job with one plan of faults."""
+
+    def __init__(self, plan, folder, seed):
+        self.plan = plan
+        self.table = Table()
+        self.folder = folder
+        self.seed = seed
+        self.cable = LinkFaults(random.Random(seed))
+        self.cable.delay_s = plan.delay_s
+        for way, fault, after in plan.link:
+            self.cable.plan(way, fault, after=after)
+        self.stops = sorted(plan.stop_at, key=lambda stop: stop[1])
+        self.statements = 0
+        self.telegrams = 0
+        self.messages = []
+        self.memory = {}
+        self.axes = None
+
+    async def __call__(self):
+        """Let the robot live, and start the cell again where the plan says so."""
+        port, restarts = 0, list(self.plan.restart_at)
+        robot = None
+        while robot is None or not robot.done():
+            ledger = await Ledger.open(self.folder / "ledger.sqlite")
+            cell = make_cell(self.table, ledger)
+            over = asyncio.Event()
+
+            def count(*_, over=over):
+                self.telegrams += 1
+                if restarts and self.telegrams >= restarts[0]:
+                    over.set()
+
+            link = EkiServer("127.0.0.1", port, on_telegram=count)
+            try:
+                await cell.start()
+                await link.start(cell.handle)
+                port = link.address[1]
+                robot = robot or asyncio.ensure_future(asyncio.to_thread(self.robot_lives, link.address))
+                waiting = asyncio.ensure_future(over.wait())
+                await asyncio.wait({robot, waiting}, return_when=asyncio.FIRST_COMPLETED)
+                waiting.cancel()
+                del restarts[:1]
+            finally:
+                await link.stop()
+                await cell.stop()
+                await ledger.close()
+        ended = await robot
+        self.cable.close()
+        book = LedgerFile(self.folder / "ledger.sqlite")
+        jobs = book.rows("jobs")
+        offers = [offer for job in jobs for offer in book.offers(job["job_id"])]
+        book.close()
+        # A program that is started again after the job is complete begins another job, for which nothing is left.
+        states = [str(job["state"]) for job in jobs]
+        state = "complete" if "complete" in states else (states or ["none"])[-1]
+        return Outcome(ended, self.messages, self.table, offers, state)
+
+    def robot_lives(self, address):
+        """Start the robot, and start it again after each failure, as an operator does."""
+        for _ in range(MAX_LIVES):
+            ended = self.one_life(address)
+            if ended in {"done", "error", "deadline", "halted"}:
+                return ended
+        return "too many lives"
+
+    def one_life(self, address):
+        krc = SoftwareKrc(
+            SOURCES,
+            robot=KR3_R540,
+            eki_configs={"SlabCell": CHANNEL},
+            eki_addresses={"SlabCell": address},
+            io=self.table,
+            trace=self.event,
+            trace_kinds=frozenset({"statement"}),
+            seed=self.seed,
+            **({"home_axes_deg": self.axes} if self.axes is not None else {}),
+        )
+        krc._kernel.eki._link = self.cable
+        self.table.krc = krc
+        for name, value in {
+            "TOOL_DATA[1]": TOOL,
+            "BASE_DATA[1]": PICK_BASE,
+            "BASE_DATA[2]": PLACE_BASE,
+            "VT_TMOANSWER": 120,
+            "VT_TMOTRIGGER": 400,
+            "VT_OPENTRIES": 5000,
+            **self.memory,
+        }.items():
+            krc.set_data("", name, value)
+        if self.table.vacuum:
+            krc._kernel.io.outputs.put(1, True)
+        krc.set_input(1, self.table.held is not None)
+        with krc:
+            try:
+                return self.operate(krc)
+            except PowerFailure as failure:
+                if failure.args[0] == "power_drop":
+                    self.table.let_go(krc.tcp)
+                return "power"
+            finally:
+                self.axes = krc.axes_deg
+                self.messages += [message.text for message in krc.messages]
+                self.memory = {name: krc.data("", name) for name in ("VT_SEQ", "VT_LASTRES", "VT_LASTSTATE")}
+
+    def operate(self, krc):
+        """Start the program; press START after a stop, take off a part where the program asks for it."""
+        for _ in range(MAX_LIVES):
+            try:
+                result = krc.run("SlabCell", max_wall_s=MAX_WALL_S)
+                while result.status == "halted" and "under the gripper" in krc.messages[-1].text:
+                    result = krc.go_on(max_wall_s=MAX_WALL_S)
+            except Cancelled:
+                continue
+            return result.status
+        return "too many lives"
+
+    def event(self, event):
+        self.statements += 1
+        if self.stops and self.statements >= self.stops[0][1]:
+            kind, _ = self.stops.pop(0)
+            if kind == "cancel":
+                raise Cancelled
+            raise PowerFailure(kind)
+
+
+NAMED = ("The cell PC does not answer", "Result refused", "The gripper does not release", "The cell speaks another")
+
+
+def judge(outcome):
+    """Return what is wrong, or nothing."""
+    wrong = []
+    table = outcome.table
+    for slab, was_in_slot in table.grips:
+        if was_in_slot:
+            wrong.append(f"slab {slab} was picked out of its slot")
+    placed = {offer.slot for offer in outcome.offers if offer.state is OfferState.PLACED}
+    recorded = {
+        offer.slot
+        for offer in outcome.offers
+        if offer.state in {OfferState.FAILED, OfferState.UNKNOWN, OfferState.GRASPED, OfferState.ACCEPTED}
+    }
+    for slab in range(SLABS):
+        laid = table.in_slot(slab)
+        untouched = slab not in {gripped for gripped, _ in table.grips}
+        if slab in placed and not laid:
+            wrong.append(f"slab {slab} is placed in the ledger, but lies elsewhere")
+        if not laid and not untouched and slab not in recorded and table.on_pick_side(slab) is None:
+            wrong.append(f"slab {slab} is lost, and the ledger does not say so")
+        if laid and slab not in placed | recorded:
+            wrong.append(f"slab {slab} is laid, and the ledger does not know of it")
+    counts = [slab for slab, _ in table.grips]
+    for slab in range(SLABS):
+        settled = [
+            o
+            for o in outcome.offers
+            if o.slot == slab and o.state in {OfferState.FAILED, OfferState.VOID, OfferState.UNKNOWN}
+        ]
+        if counts.count(slab) > 1 + len(settled):
+            wrong.append(f"slab {slab} was gripped {counts.count(slab)} times for {len(settled)} results given up")
+    if outcome.ended == "done":
+        if outcome.job_state == "complete" and not all(table.in_slot(slab) for slab in range(SLABS)):
+            wrong.append("the job is complete, but not every slab lies in its slot")
+        if outcome.job_state != "complete" and not any("Nothing on the table" in text for text in outcome.messages):
+            wrong.append(f"the program ended, but the job is {outcome.job_state}")
+    elif outcome.ended == "halted":
+        last = outcome.messages[-1] if outcome.messages else ""
+        if not last.startswith(NAMED) and not last[:4].isdigit():
+            wrong.append(f"stopped without a named error: {last!r}")
+    else:
+        wrong.append(f"ended as {outcome.ended}: {outcome.messages[-3:]}")
+    return wrong
+
+
+async def trial(plan, folder, seed=0):
+    return await Run(plan, folder, seed)()
+
+
+async def test_without_a_fault_the_job_is_complete(tmp_path):
+    outcome = await trial(Plan(), tmp_path)
+    assert judge(outcome) == []
+    assert outcome.job_state == "complete"
+    assert sorted(outcome.table.grips) == [(slab, False) for slab in range(SLABS)]
+
+
+async def assert_survived(plans, tmp_path):
+    """Run every plan; fail with all that went wrong."""
+    wrong = []
+    for number, (seed, plan) in enumerate(plans):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        wrong += [f"seed {seed}: {text}: {plan}" for text in judge(await trial(plan, folder, seed))]
+        shutil.rmtree(folder)
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize("fault", [fault for fault in Fault if fault is not Fault.NONE])
+async def test_a_fault_of_the_cable_costs_no_slab(fault, tmp_path):
+    way, after = random.choice(list(Way)), random.randrange(NORMAL_TELEGRAMS)
+    print(f"{way} {fault} {after}")
+    outcome = await trial(Plan(link=[(way, fault, after)]), tmp_path)
+    assert judge(outcome) == []
+    assert outcome.job_state == "complete"
+    assert len(outcome.table.grips) == SLABS
+
+
+async def test_seeds_of_every_kind_of_fault_cost_no_slab(tmp_path):
+    first = int(os.environ.get("SLABCELL_FAULT_FIRST", secrets.randbelow(10**6)))
+    print(f"SLABCELL_FAULT_FIRST={first}")
+    await assert_survived([(seed, Plan.of(seed)) for seed in range(first, first + 6)], tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(7200)
+async def test_a_thousand_seeds_cost_no_slab(tmp_path):
+    first = int(os.environ.get("SLABCELL_FAULT_FIRST", "0"))
+    count = int(os.environ.get("SLABCELL_FAULT_SEEDS", "1000"))
+    await assert_survived([(seed, Plan.of(seed)) for seed in range(first, first + count)], tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(7200)
+async def test_every_fault_at_every_telegram_costs_no_slab(tmp_path):
+    faults = [fault for fault in Fault if fault is not Fault.NONE]
+    plans = [
+        (0, Plan(link=[(way, fault, after)])) for after in range(NORMAL_TELEGRAMS) for way in Way for fault in faults
+    ]
+    await assert_survived(plans, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(36000)
+@pytest.mark.parametrize("kind", ["cancel", "power_hold", "power_drop"])
+async def test_a_stop_at_every_statement_costs_no_slab(kind, tmp_path):
+    await assert_survived([(0, Plan(stop_at=[(kind, at)])) for at in range(1, NORMAL_STATEMENTS)], tmp_path)
