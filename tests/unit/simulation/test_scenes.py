@@ -1,4 +1,3 @@
-import csv
 import itertools
 from pathlib import Path
 
@@ -6,6 +5,7 @@ import numpy as np
 import pytest
 import shapely
 
+from slabcell.recipe import load_recipe
 from slabcell_drivers.simulation import Scene, SceneError, World, load_scene
 from slabcell_drivers.simulation.placement import congruences
 from slabcell_drivers.simulation.projection import Projector
@@ -13,7 +13,7 @@ from slabcell_drivers.simulation.projection import Projector
 pytestmark = pytest.mark.unit
 
 CONFIG = Path(__file__).parents[3] / "config"
-SIZES = {"dresden": (163.0, 88.0), "irregular": (200.0, 150.0)}
+SIZES = {"dresden": (163.0, 88.0), "irregular": (200.0, 150.0), "stones": (200.0, 150.0)}
 
 
 def scene(name: str) -> Scene:
@@ -21,9 +21,8 @@ def scene(name: str) -> Scene:
 
 
 def template(name: str) -> list[np.ndarray]:
-    lines = (CONFIG / "templates" / f"{name}.csv").read_text().splitlines()
-    rows = csv.reader(line for line in lines if line and not line.startswith("#"))
-    return [np.array(row, float).reshape(-1, 2) for row in rows]
+    recipe = load_recipe(CONFIG / "recipes" / f"{name}.toml")
+    return [slot.vertices for slot in recipe.template.slots]
 
 
 @pytest.mark.parametrize("name", SIZES)
@@ -84,6 +83,33 @@ def test_the_assembly_is_wholly_in_view(name: str) -> None:
 
     assert np.all(pixels > 10)
     assert np.all(pixels < (one.camera.width - 10, one.camera.height - 10))
+
+
+def test_every_shipped_scene_has_a_recipe_of_its_name_and_its_thickness() -> None:
+    names = {file.stem for file in (CONFIG / "scenes").glob("*.toml")}
+
+    assert names == set(SIZES)
+    for name in names:
+        thickness = load_recipe(CONFIG / "recipes" / f"{name}.toml").thickness_mm
+        assert {slab.thickness_mm for slab in scene(name).outlines} == {thickness}
+
+
+def test_marks_lie_on_the_board_in_view_and_apart_from_slabs_and_assembly() -> None:
+    one = scene("stones")
+    frame = one.table.frame.matrix
+    marks = np.array(one.table.marks) @ frame[:2, :2].T + frame[:2, 3]
+    pixels = Projector(one.camera).pixels(np.column_stack([marks, np.zeros(len(marks))]))
+    radius = one.table.mark_radius_mm
+    place = one.assembly.frame.matrix
+    laid = shapely.MultiPoint(np.concatenate(template("stones")) @ place[:2, :2].T + place[:2, 3]).convex_hull
+
+    for (x, y), mark in zip(one.table.marks, marks, strict=True):
+        assert shapely.Polygon(one.table.board).exterior.distance(shapely.Point(x, y)) > 3 * radius
+        assert shapely.Polygon(one.table.pick_area).distance(shapely.Point(x, y)) > 5.0
+        assert laid.distance(shapely.Point(mark)) > 20.0
+    assert np.all(pixels > 20)
+    assert np.all(pixels < (one.camera.width - 20, one.camera.height - 20))
+    assert np.pi * radius**2 < 25.0  # smaller than any slab that a recipe accepts
 
 
 def test_the_same_seed_strews_the_same_and_another_seed_does_not() -> None:
