@@ -21,6 +21,7 @@ from slabcell_drivers.krc.syntax import (
     InterruptDecl,
     Keyword,
     Label,
+    Literal,
     Loop,
     Member,
     Name,
@@ -195,11 +196,28 @@ class StatementParser(DeclarationParser, MotionParser):
             return CallStatement(place, target)
         raise KrlSyntaxError(self.token, "'=' or '('")
 
+    def _heading(self, place: Place, word: str = "") -> Expr:
+        """Return the expression of a block's first line.  An error in it is noted, so that the block still counts."""
+        try:
+            result = self.expression()
+            if word:
+                self.expect_word(word)
+                self.skip_newlines()
+            else:
+                self.end_line()
+        except KrlSyntaxError as error:
+            self._note_heading(error)
+            return Literal(place, value=False)
+        return result
+
+    def _note_heading(self, error: KrlSyntaxError) -> None:
+        self.depth = 0
+        self.note(error)
+        self.skip_line()
+
     def _if(self, place: Place) -> Statement:
         self.advance()
-        condition = self.expression()
-        self.expect_word("THEN")
-        self.skip_newlines()
+        condition = self._heading(place, "THEN")
         then = self.block("ELSE", "ENDIF")
         otherwise: tuple[Statement, ...] = ()
         word = self.close(place, "ELSE", "ENDIF")
@@ -210,8 +228,7 @@ class StatementParser(DeclarationParser, MotionParser):
 
     def _switch(self, place: Place) -> Statement:
         self.advance()
-        subject = self.expression()
-        self.skip_newlines()
+        subject = self._heading(place)
         self._open.append(("CASE", "DEFAULT", "ENDSWITCH"))
         cases: list[Case] = []
         while self.at_word("CASE", "DEFAULT"):
@@ -237,21 +254,26 @@ class StatementParser(DeclarationParser, MotionParser):
 
     def _for(self, place: Place) -> Statement:
         self.advance()
-        variable = self.postfix()
-        self.expect("ASSIGN", "'='")
-        start = self.expression()
-        self.expect_word("TO")
-        end = self.expression()
-        step = self.expression() if self.accept_word("STEP") else None
-        self.end_line()
+        variable: Expr = Name(place, "")
+        start = end = step = None
+        try:
+            variable = self.postfix()
+            self.expect("ASSIGN", "'='")
+            start = self.expression()
+            self.expect_word("TO")
+            end = self.expression()
+            step = self.expression() if self.accept_word("STEP") else None
+            self.end_line()
+        except KrlSyntaxError as error:
+            self._note_heading(error)
         body = self.block("ENDFOR")
         self.close(place, "ENDFOR")
-        return For(place, variable, start, end, step, body)
+        missing = Literal(place, value=0)
+        return For(place, variable, start or missing, end or missing, step, body)
 
     def _while(self, place: Place) -> Statement:
         self.advance()
-        condition = self.expression()
-        self.end_line()
+        condition = self._heading(place)
         body = self.block("ENDWHILE")
         self.close(place, "ENDWHILE")
         return While(place, condition, body)
