@@ -27,7 +27,7 @@ from slabcell.cell.eyes import Eyes, HouseEyes
 from slabcell.cell.handover import Handover
 from slabcell.cell.ledger import Ledger
 from slabcell.cell.looking import Looking
-from slabcell.cell.records import Job, JobState, OfferState
+from slabcell.cell.records import Job, JobState
 from slabcell.cell.reply import Reply, refusal, to_answer
 from slabcell.cell.settings import CellSettings
 from slabcell.cell.states import CellEvent, CellState, Conditions, HeldCause, StateMachine, SuspendedCause
@@ -39,8 +39,8 @@ from slabcell_drivers.robot.protocol import Answer, Request, RequestType, Result
 
 __all__ = ["Cell"]
 
-BLOCKING_FAULTS = (Fault.PART_LOST, Fault.PLACEMENT_UNKNOWN)
-"""Alarms after which nothing is picked until a person has looked."""
+NEEDS_EYES = frozenset({Fault.PART_LOST, Fault.PLACEMENT_UNKNOWN})
+"""Alarms of results that are unknown: nothing is picked until a person has looked."""
 
 
 class Cell:
@@ -148,9 +148,7 @@ class Cell:
         abandoned = await self._desk.take_up()
         if abandoned is not None:
             self.alarms.come(Fault.RECIPE_CHANGED, abandoned)
-        for offer in await self._desk.offers():
-            if offer.state is OfferState.UNKNOWN:
-                self.alarms.come(Fault.PLACEMENT_UNKNOWN, f"result {offer.result_id}, slot {offer.slot}")
+        await self._unresolved()
         await self._machine.fire(CellEvent.PREPARE, f"recipe {self.recipe.name}")
 
     async def stop(self) -> None:
@@ -167,6 +165,43 @@ class Cell:
         await asyncio.gather(*self._tasks)
         await self._looking.close()
         await self._cycles.close()
+
+    async def _unresolved(self) -> Fault | None:
+        """Raise the alarms of what a person has to look at; return one of them, or None if nothing is open."""
+        faults: list[Fault] = []
+        for offer in await self._desk.unknown():
+            faults.append(Fault(offer.fault) if offer.fault else Fault.PLACEMENT_UNKNOWN)
+            self.alarms.come(faults[-1], f"result {offer.result_id}, slot {offer.slot}: {offer.reason}")
+        for fault in NEEDS_EYES - set(faults):
+            self.alarms.acknowledge(fault)
+        return faults[-1] if faults else None
+
+    # A person
+
+    async def acknowledge(self, fault: Fault) -> None:
+        """Take a person's word that an alarm is dealt with.
+
+        A lost slab is then found and back on the table, and its slot is empty; a slot that failed too often is tried
+        again.  Raises SlabcellError for an alarm that a word cannot clear.
+        """
+        async with self._turn:
+            if fault is Fault.PLACEMENT_UNKNOWN:
+                ids = ", ".join(str(o.result_id) for o in await self._desk.unknown() if o.fault != Fault.PART_LOST)
+                msg = f"alarm {int(fault)} goes when results {ids} are resolved: say for each whether it is placed"
+                raise SlabcellError(msg, number=fault)
+            if fault is Fault.PART_LOST:
+                for offer in await self._desk.unknown():
+                    if offer.fault == Fault.PART_LOST:
+                        await self._desk.resolve(offer.result_id, placed=False)
+            if fault is Fault.TRIED_TOO_OFTEN:
+                self._desk.forgive()
+            self.alarms.acknowledge(fault)
+
+    async def resolve(self, result_id: int, *, placed: bool) -> None:
+        """Take a person's word for a result that is unknown.  Raises LedgerError if it is settled already."""
+        async with self._turn:
+            await self._desk.resolve(result_id, placed=placed)
+            await self._unresolved()
 
     async def clear(self) -> None:
         """Leave the error state after a person has removed its cause."""
@@ -280,7 +315,7 @@ class Cell:
         await self._handover.drop_unfinished(request)
         if self.state is CellState.OFFERING:
             await self._machine.fire(CellEvent.FINISH, "a new picture was asked for")
-        blocking = self.alarms.has(*BLOCKING_FAULTS)
+        blocking = await self._unresolved()
         if blocking is not None:
             self._conditions.held = HeldCause.OPERATOR
             return Reply(blocking)

@@ -9,9 +9,10 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from slabcell.catalogue import Fault
 from slabcell.cell.events import Event, JobBegan, JobEnded, ResultMoved, Verified
 from slabcell.cell.greeting import Settlement, settle
-from slabcell.cell.ledger import Ledger, LedgerFile
+from slabcell.cell.ledger import Ledger, LedgerError, LedgerFile
 from slabcell.cell.records import (
     HAND_STATES,
     TAKEN_STATES,
@@ -45,6 +46,8 @@ class JobDesk:
 
     def __init__(self, ledger: Ledger, recipe: Recipe, emit: Callable[[Event], None]) -> None:
         self.job: Job | None = None
+        self._forgive = False
+        self._forgiven_up_to = 0
         self._ledger = ledger
         self._recipe = recipe
         self._emit = emit
@@ -110,7 +113,10 @@ class JobDesk:
     async def slots(self, attempts: int) -> Slots:
         """Return which slots of the job are laid, free, or given up after so many failed attempts."""
         offers = await self.offers()
-        failures = Counter(offer.slot for offer in offers if offer.state is _O.FAILED)
+        if self._forgive:
+            self._forgiven_up_to, self._forgive = max((offer.result_id for offer in offers), default=0), False
+        failed = (offer for offer in offers if offer.state is _O.FAILED and offer.result_id > self._forgiven_up_to)
+        failures = Counter(offer.slot for offer in failed)
         taken = {offer.slot for offer in offers if offer.state in TAKEN_STATES}
         every = range(self.job.slots if self.job is not None else 0)
         return Slots(
@@ -118,6 +124,26 @@ class JobDesk:
             free=tuple(slot for slot in every if slot not in taken and failures[slot] < attempts),
             given_up=tuple(slot for slot in every if slot not in taken and failures[slot] >= attempts),
         )
+
+    async def unknown(self) -> list[OfferRecord]:
+        """Return the results of the job of which a person has to say what became of them."""
+        return [offer for offer in await self.offers() if offer.state is _O.UNKNOWN]
+
+    async def resolve(self, result_id: int, *, placed: bool) -> OfferRecord:
+        """Write what a person saw: the slab lies in its slot, or it does not.  Raises LedgerError if settled."""
+        state = _O.PLACED if placed else _O.FAILED
+        found = await self.find(result_id)
+        if found is None or found.state is not _O.UNKNOWN:
+            known = f"is {found.state}" if found else "is not of the present job"
+            msg = f"result {result_id} {known}: only an unknown result of the present job can be resolved"
+            raise LedgerError(msg, number=Fault.LEDGER_ERROR)
+        moved = await self._ledger.run(lambda book: book.move(result_id, state, reason="seen by a person"))
+        self._emit(ResultMoved(moved))
+        return moved
+
+    def forgive(self) -> None:
+        """Count the failures of each slot anew."""
+        self._forgive = True
 
     async def find(self, result_id: int) -> OfferRecord | None:
         """Return a result of the job, or None."""
@@ -131,11 +157,18 @@ class JobDesk:
             lambda book: book.record_cycle(job.job_id, request.session, request.sequence, pairs)
         )
 
-    async def move(self, offer: OfferRecord, state: OfferState, request: Request, reason: str) -> OfferRecord:
+    async def move(
+        self, offer: OfferRecord, state: OfferState, request: Request, reason: str = "", fault: Fault | None = None
+    ) -> OfferRecord:
         """Write a result's new state."""
         moved = await self._ledger.run(
             lambda book: book.move(
-                offer.result_id, state, session=request.session, sequence=request.sequence, reason=reason
+                offer.result_id,
+                state,
+                session=request.session,
+                sequence=request.sequence,
+                reason=reason,
+                fault=fault or 0,
             )
         )
         self._emit(ResultMoved(moved))

@@ -66,7 +66,7 @@ class Execution:
         self._conditions.held = self._conditions.suspended = None
         cycle = CycleRecord(0, job.job_id, request.session, request.sequence)
         self._cycles.begin(cycle)
-        await self._machine.fire(CellEvent.TRIGGER, f"trigger {request.session}/{request.sequence}")
+        await self._machine.fire(CellEvent.ACQUIRE, f"trigger {request.session}/{request.sequence}")
         try:
             reply = await self._look(request, job, cycle)
         except LookError as error:

@@ -41,7 +41,12 @@ def settle(book: LedgerFile, job_id: int | None, request: Request, session: int)
         said = request.ack_state if named else AckState.NONE
         decision: Decision = reconcile(offer.state, said, holds_part=holds and (named or request.ack_result_id == 0))
         after = book.move(
-            offer.result_id, decision.state, session=session, sequence=request.sequence, reason=decision.reason
+            offer.result_id,
+            decision.state,
+            session=session,
+            sequence=request.sequence,
+            reason=decision.reason,
+            fault=decision.fault or 0,
         )
         moved.append(after)
         if decision.resume:

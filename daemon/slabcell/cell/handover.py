@@ -39,7 +39,7 @@ class Handover:
         if offer.state is _O.ACCEPTED:
             return refusal(Fault.ROBOT_MUST_FINISH)
         if offer.state is _O.PLANNED:
-            offer = await self._desk.move(offer, _O.OFFERED, request, "")
+            offer = await self._desk.move(offer, _O.OFFERED, request)
         self._emit(Offered(offer))
         return Reply(left=len(waiting), offer=offer)
 
@@ -57,7 +57,7 @@ class Handover:
         if offer.state is not state:
             if offer.state not in _UNDER_WAY or (offer.state, state) == (_O.GRASPED, _O.ACCEPTED):
                 return refusal(Fault.ROBOT_ACKNOWLEDGES_UNKNOWN)
-            await self._desk.move(offer, state, request, reason)
+            await self._desk.move(offer, state, request, reason, fault)
             if fault is not None:
                 self._alarms.come(fault, f"result {offer.result_id}, slot {offer.slot}: {reason}")
             if said in _DISTURBS:
@@ -69,7 +69,7 @@ class Handover:
         for offer in await self._desk.open_offers():
             if offer.state in HAND_STATES:
                 decision = given_up(offer.state, AckState.ABORTED, holds_part=request.status.gripper_holds_part)
-                await self._desk.move(offer, decision.state, request, decision.reason)
+                await self._desk.move(offer, decision.state, request, decision.reason, decision.fault)
                 if decision.fault is not None:
                     self._alarms.come(decision.fault, f"result {offer.result_id}: {decision.reason}")
         await self._desk.void("a new picture was asked for", session=request.session)

@@ -185,9 +185,18 @@ class LedgerFile:
         return offers
 
     def move(
-        self, result_id: int, state: OfferState, *, session: int = 0, sequence: int = 0, reason: str = ""
+        self,
+        result_id: int,
+        state: OfferState,
+        *,
+        session: int = 0,
+        sequence: int = 0,
+        reason: str = "",
+        fault: int = 0,
     ) -> OfferRecord:
         """Write that a result is now in ``state``, and who said so.  The state it is in already is no error.
+
+        ``fault`` is the number of the alarm that a person has to clear before the result is settled.
 
         Raises `LedgerError` for an unknown result and for a step that the ledger does not allow.
         """
@@ -201,7 +210,7 @@ class LedgerFile:
             msg = f"result {result_id} is {before.state} and cannot become {state}"
             raise LedgerError(msg, number=Fault.LEDGER_ERROR)
         with self._transaction():
-            self._write_state(result_id, state, session, sequence, reason)
+            self._write_state(result_id, state, session, sequence, reason, fault)
         after = self.offer(result_id)
         assert after is not None  # noqa: S101  (written in this thread a line above)
         return after
@@ -217,14 +226,16 @@ class LedgerFile:
         if ids:
             with self._transaction():
                 for result_id in ids:
-                    self._write_state(result_id, _O.VOID, session, 0, reason)
+                    self._write_state(result_id, _O.VOID, session, 0, reason, 0)
         return ids
 
-    def _write_state(self, result_id: int, state: OfferState, session: int, sequence: int, reason: str) -> None:
+    def _write_state(
+        self, result_id: int, state: OfferState, session: int, sequence: int, reason: str, fault: int
+    ) -> None:
         now = self._now()
         self._db.execute(
-            "UPDATE offers SET state = ?, reason = ?, changed_utc = ? WHERE result_id = ?",
-            (state.value, reason, now, result_id),
+            "UPDATE offers SET state = ?, reason = ?, fault = ?, changed_utc = ? WHERE result_id = ?",
+            (state.value, reason, fault, now, result_id),
         )
         self._db.execute(
             "INSERT INTO acknowledgements (result_id, state, session, sequence, reason, at_utc)"
@@ -277,7 +288,7 @@ _TABLES = ("jobs", "cycles", "offers", "acknowledgements", "placements", "sessio
 
 _OFFERS = (
     "SELECT result_id, job_id, cycle_id, idx, slot, state, score, pick_x, pick_y, pick_z, pick_a, pick_b, pick_c,"
-    " place_x, place_y, place_z, place_a, place_b, place_c, reason FROM offers"
+    " place_x, place_y, place_z, place_a, place_b, place_c, reason, fault FROM offers"
 )
 
 
@@ -289,6 +300,7 @@ def _offer(row: tuple[object, ...]) -> OfferRecord:
         Frame(*numbers[:6]),
         Frame(*numbers[6:]),
         cast("str", row[19]),
+        cast("int", row[20]),
     )
 
 

@@ -2,6 +2,8 @@
 
 The robot writes its last result and state into its own memory *before* the physical act, and goes on only when the
 cell has answered.  So it is never behind the ledger, unless its memory was lost or restored; then a person has to look.
+What a person has to look at is *unknown*: its slot is given to no other slab, and nothing is picked, until that person
+has said where the slab is.
 """
 
 from dataclasses import dataclass
@@ -39,7 +41,7 @@ def reconcile(ledger: OfferState, robot: AckState, *, holds_part: bool) -> Decis
     if robot is _A.GRASPED:
         if holds_part:
             return Decision(_O.GRASPED, "still in the gripper", resume=True)
-        return Decision(_O.FAILED, "lost after grasping", fault=Fault.PART_LOST)
+        return Decision(_O.UNKNOWN, "lost after grasping", fault=Fault.PART_LOST)
     if robot is _A.PLACED:
         if holds_part:
             return Decision(_O.UNKNOWN, "reported placed, but the gripper holds a part", fault=Fault.PLACEMENT_UNKNOWN)
@@ -58,7 +60,7 @@ def given_up(ledger: OfferState, robot: AckState, *, holds_part: bool) -> Decisi
     if holds_part:
         return Decision(_O.FAILED, f"{why}; the gripper still holds a part", fault=Fault.GRIPPER_NOT_EMPTY)
     if ledger is _O.GRASPED:
-        return Decision(_O.FAILED, f"{why} after grasping", fault=Fault.PART_LOST)
+        return Decision(_O.UNKNOWN, f"{why} after grasping", fault=Fault.PART_LOST)
     return Decision(_O.VOID if robot is _A.ABORTED else _O.FAILED, why)
 
 

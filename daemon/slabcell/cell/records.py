@@ -99,6 +99,7 @@ class OfferRecord:
     pick: Frame
     place: Frame
     reason: str
+    fault: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,6 +40,7 @@ _V1 = (
             state IN ('planned', 'offered', 'accepted', 'grasped', 'placed', 'failed', 'void', 'unknown')),
         score REAL NOT NULL,
         reason TEXT NOT NULL,
+        fault INTEGER NOT NULL DEFAULT 0,
         changed_utc TEXT NOT NULL,
         pick_x REAL NOT NULL, pick_y REAL NOT NULL, pick_z REAL NOT NULL,
         pick_a REAL NOT NULL, pick_b REAL NOT NULL, pick_c REAL NOT NULL,

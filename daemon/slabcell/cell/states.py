@@ -60,7 +60,7 @@ class CellEvent(StrEnum):
     INITIALIZE = "initialize"
     PREPARE = "prepare"
     UNPREPARE = "unprepare"
-    TRIGGER = "trigger"
+    ACQUIRE = "acquire"
     LOCATE = "locate"
     OFFER = "offer"
     VERIFY = "verify"
@@ -111,7 +111,7 @@ TABLE: tuple[Row, ...] = (
     Row(_E.INITIALIZE, (_S.PREOPERATIONAL, _S.HALTED), _S.INITIALIZED, "ledger and devices are there"),
     Row(_E.PREPARE, (_S.INITIALIZED,), _S.READY, "recipe and calibration are checked"),
     Row(_E.UNPREPARE, (_S.READY,), _S.INITIALIZED, "the recipe is taken out"),
-    Row(_E.TRIGGER, (_S.READY,), _S.ACQUIRING, "the robot asks for a picture"),
+    Row(_E.ACQUIRE, (_S.READY,), _S.ACQUIRING, "the robot asks for a picture"),
     Row(_E.LOCATE, (_S.ACQUIRING,), _S.LOCATING, "a complete frame is there"),
     Row(_E.OFFER, (_S.LOCATING, _S.READY), _S.OFFERING, "results are in the ledger"),
     Row(_E.VERIFY, (_S.ACQUIRING,), _S.VERIFYING, "every slot is filled; the frame shows how"),

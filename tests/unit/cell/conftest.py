@@ -1,5 +1,6 @@
 """A cell with a scripted camera and scripted eyes, and a robot that asks it directly."""
 
+import itertools
 from collections.abc import AsyncIterator, Callable, Collection
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -239,3 +240,16 @@ async def bench(tmp_path: Path) -> AsyncIterator[Bench]:
     await bench.start()
     yield bench
     await bench.stop()
+
+
+@pytest.fixture
+def make_bench(tmp_path: Path) -> Callable[[], Bench]:
+    """Make benches that are not started yet, each in a folder of its own."""
+    numbers = itertools.count()
+
+    def make() -> Bench:
+        folder = tmp_path / str(next(numbers))
+        folder.mkdir()
+        return Bench(folder)
+
+    return make

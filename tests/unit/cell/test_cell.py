@@ -247,7 +247,7 @@ async def test_a_slab_lost_after_grasping_stops_picking_until_a_person_acknowled
     await bench.robot.say(AckState.ABORTED)
     assert (await bench.robot.trigger()).code == Fault.PART_LOST
     assert bench.camera.snaps == 1
-    bench.cell.alarms.acknowledge(Fault.PART_LOST)
+    await bench.cell.acknowledge(Fault.PART_LOST)
     assert (await bench.robot.trigger()).left == 3
 
 
