@@ -105,12 +105,14 @@ def calibrate_camera(
     serial: str = "",
     offset: tuple[int, int] = (0, 0),
     binning: int = 1,
+    holdout: bool = True,
 ) -> CameraResult:
     """Return the lens that explains the views best.
 
     Views whose residual is far above the others' are named and left out.  The result is bound to the camera's serial
-    number, and to the pictures' size, region (``offset``) and ``binning``.  Raises CalibrationError if there are fewer
-    than four usable views, if they differ in size, or if they do not determine a lens.
+    number, and to the pictures' size, region (``offset``) and ``binning``.  ``holdout`` False saves the time to
+    find the hold-out residual.  Raises CalibrationError if there are fewer than four usable views, if they differ in
+    size, or if they do not determine a lens.
     """
     views = [d for d in detections if len(d.pixels) >= MIN_POINTS]
     size = _common_size(views)
@@ -134,7 +136,8 @@ def calibrate_camera(
             f"the views leave the focal length open ({focal:.0f} ± {std['fx']:.0f} px): add views that are tilted by 20"
             " to 45 degrees in different directions"
         )
-    holdout_px = _holdout([views[i] for i in used], model, size)
+    kept = [views[i] for i in used]
+    holdout_px = _holdout(kept, model, size, solution.lens) if holdout else float("nan")
     focal_distance = _focal_distance_correlation([views[i] for i in used], solution, covariance, noise_px)
     reports = _reports(views, used, solution)
     coverage = measure_coverage([views[i] for i in used])
@@ -193,14 +196,14 @@ def _centre_discs(views: Sequence[Detection], model: LensModel, size: tuple[int,
     return centred
 
 
-def _holdout(views: Sequence[Detection], model: LensModel, size: tuple[int, int]) -> float:
+def _holdout(views: Sequence[Detection], model: LensModel, size: tuple[int, int], near: Lens) -> float:
     """Return the rms residual of views in lenses found without them; of many views several are left out at once."""
     folds = min(len(views), MAX_FOLDS)
     if len(views) - -(-len(views) // folds) < MIN_VIEWS - 1:
         return float("nan")
     squares, count = 0.0, 0
     for fold in range(folds):
-        lens = _solve([v for n, v in enumerate(views) if n % folds != fold], model, size).lens
+        lens = _solve([v for n, v in enumerate(views) if n % folds != fold], model, size, near).lens
         for view in views[fold::folds]:
             residual = view.pixels - project(view.points_mm, board_pose(view.points_mm, view.pixels, lens), lens)[0]
             squares, count = squares + float((residual * residual).sum()), count + len(residual)
@@ -220,11 +223,15 @@ def _focal_distance_correlation(
     return float(np.mean(found))
 
 
-def _solve(views: Sequence[Detection], model: LensModel, size: tuple[int, int]) -> _Solution:
+def _solve(views: Sequence[Detection], model: LensModel, size: tuple[int, int], near: Lens | None = None) -> _Solution:
+    """Return lens and poses of least residual; ``near`` is a lens to start from."""
     points = [np.ascontiguousarray(v.points_mm.reshape(-1, 1, 3), dtype=np.float32) for v in views]
     pixels = [np.ascontiguousarray(v.pixels.reshape(-1, 1, 2), dtype=np.float32) for v in views]
     flags, coefficients = _MODELS[model]
     matrix, distortion = np.eye(3), np.zeros(5)
+    if near is not None and model != "fisheye":
+        matrix, distortion = near.matrix.copy(), near.distortion.copy()
+        flags |= cv2.CALIB_USE_INTRINSIC_GUESS
     stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
     try:
         if model == "fisheye":

@@ -27,7 +27,9 @@ def andreff(a: Array, b: Array) -> Array:
         rows[:, 9 + axis, 3 * axis : 3 * axis + 3] = shift_b
     rows[:, 9:, 9:] = np.eye(3) - turn_a
     right = np.concatenate([np.zeros((count, 9)), shift_a], axis=1)
-    solution = np.asarray(np.linalg.lstsq(rows.reshape(-1, 12), right.ravel(), rcond=None)[0], np.float64)
+    # Triangular first: a hundredfold less work for the singular values, and no worse conditioned.
+    triangle = np.asarray(np.linalg.qr(np.column_stack([rows.reshape(-1, 12), right.ravel()]))[1], np.float64)
+    solution = np.asarray(np.linalg.lstsq(triangle[:12, :12], triangle[:12, 12], rcond=None)[0], np.float64)
     matrix = solution[:9].reshape(3, 3)
     scale = np.cbrt(np.linalg.det(matrix))
     if abs(scale) < 1e-9:
@@ -52,7 +54,7 @@ def daniilidis(a: Array, b: Array) -> Array:
     rows[:, 3:, 1:4] = hat(dual_a[:, 1:] + dual_b[:, 1:])
     rows[:, 3:, 4] = rows[:, :3, 0]
     rows[:, 3:, 5:8] = rows[:, :3, 1:4]
-    _, _, vt = np.linalg.svd(rows.reshape(-1, 8))
+    _, _, vt = np.linalg.svd(rows.reshape(-1, 8), full_matrices=False)
     u1, v1, u2, v2 = vt[6, :4], vt[6, 4:], vt[7, :4], vt[7, 4:]
     found: list[Array] = []
     for share in _roots(float(u1 @ v1), float(u1 @ v2 + u2 @ v1), float(u2 @ v2)):
