@@ -8,6 +8,7 @@ The large counts: ``python -m pytest -m slow tests/integration/test_krl_programs
 """
 
 import asyncio
+import dataclasses
 import itertools
 import math
 import os
@@ -24,7 +25,7 @@ import pytest
 from slabcell.calibration.model import Calibration, CameraIdentity, Lens, TablePlane
 from slabcell.cell.cell import Cell
 from slabcell.cell.ledger import Ledger, LedgerFile
-from slabcell.cell.records import OfferState, PlacementRecord
+from slabcell.cell.records import OfferRecord, OfferState, PlacementRecord
 from slabcell.cell.settings import CellSettings
 from slabcell.geometry import PlanarPose, Polygon, RigidTransform2D
 from slabcell.recipe import Recipe
@@ -68,14 +69,6 @@ def tool_down(base, pose):
 def slot_pose(slot):
     x, y = SLOTS[slot].centroid
     return PlanarPose(float(x), float(y), 0.0)
-
-
-class PowerFailure(Exception):  # noqa: N818 - what happens is no error of the program
-    """The controller is off."""
-
-
-class Cancelled(Exception):  # noqa: N818 - as above
-    """Somebody cancelled the program."""
 
 
 class Table:
@@ -242,8 +235,6 @@ class Run:
         self.statements = 0
         self.telegrams = 0
         self.messages = []
-        self.memory = {}
-        self.axes = None
 
     async def __call__(self):
         """Let the robot live, and start the cell again where the plan says so."""
@@ -286,25 +277,17 @@ class Run:
 
     def robot_lives(self, address):
         """Start the robot, and start it again after each failure, as an operator does."""
-        for _ in range(MAX_LIVES):
-            ended = self.one_life(address)
-            if ended in {"done", "error", "deadline", "halted"}:
-                return ended
-        return "too many lives"
-
-    def one_life(self, address):
         krc = SoftwareKrc(
             SOURCES,
             robot=KR3_R540,
             eki_configs={"SlabCell": CHANNEL},
             eki_addresses={"SlabCell": address},
+            eki_link=self.cable,
             io=self.table,
-            trace=self.event,
+            trace=self.statement,
             trace_kinds=frozenset({"statement"}),
             seed=self.seed,
-            **({"home_axes_deg": self.axes} if self.axes is not None else {}),
         )
-        krc._kernel.eki._link = self.cable
         self.table.krc = krc
         for name, value in {
             "TOOL_DATA[1]": TOOL,
@@ -313,43 +296,29 @@ class Run:
             "VT_TMOANSWER": 120,
             "VT_TMOTRIGGER": 400,
             "VT_OPENTRIES": 5000,
-            **self.memory,
         }.items():
             krc.set_data("", name, value)
-        if self.table.vacuum:
-            krc._kernel.io.outputs.put(1, True)
-        krc.set_input(1, self.table.held is not None)
         with krc:
-            try:
-                return self.operate(krc)
-            except PowerFailure as failure:
-                if failure.args[0] == "power_drop":
-                    self.table.let_go(krc.tcp)
-                return "power"
-            finally:
-                self.axes = krc.axes_deg
-                self.messages += [message.text for message in krc.messages]
-                self.memory = {name: krc.data("", name) for name in ("VT_SEQ", "VT_LASTRES", "VT_LASTSTATE")}
-
-    def operate(self, krc):
-        """Start the program; press START after a stop, take off a part where the program asks for it."""
-        for _ in range(MAX_LIVES):
-            try:
+            for _ in range(MAX_LIVES):
                 result = krc.run("SlabCell", max_wall_s=MAX_WALL_S)
                 while result.status == "halted" and "under the gripper" in krc.messages[-1].text:
                     result = krc.go_on(max_wall_s=MAX_WALL_S)
-            except Cancelled:
-                continue
-            return result.status
-        return "too many lives"
+                if result.status not in {"cancelled", "power_lost"}:
+                    break
+            self.messages = [message.text for message in krc.messages]
+        return result.status
 
-    def event(self, event):
+    def statement(self, _event):
         self.statements += 1
-        if self.stops and self.statements >= self.stops[0][1]:
-            kind, _ = self.stops.pop(0)
-            if kind == "cancel":
-                raise Cancelled
-            raise PowerFailure(kind)
+        if not self.stops or self.statements < self.stops[0][1]:
+            return
+        kind, _ = self.stops.pop(0)
+        if kind == "cancel":
+            self.table.krc.cancel()
+            return
+        self.table.krc.power_loss(outputs_hold=kind == "power_hold")
+        if kind == "power_drop":
+            self.table.let_go(self.table.krc.tcp)
 
 
 NAMED = ("The cell PC does not answer", "Result refused", "The gripper does not release", "The cell speaks another")
@@ -409,6 +378,34 @@ async def test_without_a_fault_the_job_is_complete(tmp_path):
     assert judge(outcome) == []
     assert outcome.job_state == "complete"
     assert sorted(outcome.table.grips) == [(slab, False) for slab in range(SLABS)]
+
+
+def outcome_with(**changes):
+    """What is left of a job in which slab 0 was laid, and the ledger says so."""
+    table = Table()
+    table.slabs[0] = tool_down(PLACE_BASE, slot_pose(0))
+    table.grips = [(0, False)]
+    offer = OfferRecord(1, 1, 1, 0, 0, OfferState.PLACED, 1.0, Frame(), Frame(), "")
+    return dataclasses.replace(Outcome("halted", ["1605 Slab lost."], table, [offer], "open"), **changes)
+
+
+def test_the_judge_sees_a_slab_that_is_lost_laid_twice_or_not_where_the_ledger_says():
+    assert judge(outcome_with()) == []
+    lost = outcome_with(offers=[])
+    lost.table.slabs[0] = Frame(0.0, 0.0, THICKNESS_MM)
+    assert judge(lost) == ["slab 0 is lost, and the ledger does not say so"]
+    elsewhere = outcome_with()
+    elsewhere.table.slabs[0] = Frame(0.0, 0.0, THICKNESS_MM)
+    assert judge(elsewhere)[0] == "slab 0 is placed in the ledger, but lies elsewhere"
+    assert judge(outcome_with(offers=[])) == ["slab 0 is laid, and the ledger does not know of it"]
+    twice = outcome_with()
+    twice.table.grips = [(0, False), (0, True)]
+    assert judge(twice) == ["slab 0 was picked out of its slot", "slab 0 was gripped 2 times for 0 results given up"]
+    assert judge(outcome_with(messages=["Something odd"])) == ["stopped without a named error: 'Something odd'"]
+    assert judge(outcome_with(ended="done")) == ["the program ended, but the job is open"]
+    assert judge(outcome_with(ended="done", job_state="complete")) == [
+        "the job is complete, but not every slab lies in its slot"
+    ]
 
 
 async def assert_survived(plans, tmp_path):
