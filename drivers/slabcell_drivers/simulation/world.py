@@ -38,6 +38,7 @@ class EventKind(StrEnum):
     DROPPED = "dropped"
     STACKED = "stacked"
     CRUSHED = "crushed"
+    COLLIDED = "collided"
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +67,8 @@ class GripperFaults:
 @dataclass(slots=True)
 class _Held:
     number: int
-    tcp_from_slab: Frame = field(default_factory=Frame)
+    tcp_from_slab: Frame
+    struck: set[int] = field(default_factory=set[int])
 
 
 class World:
@@ -155,9 +157,13 @@ class World:
         return True
 
     def moved(self, tcp: Frame) -> None:
-        """Take note that the tool is at ``tcp``: what it holds goes with it."""
-        if self._held is not None:
-            self._put(self._held.number, tcp @ self._held.tcp_from_slab)
+        """Take note that the tool is at ``tcp``: what it holds goes with it, and is recorded if it strikes a slab."""
+        held = self._held
+        if held is not None:
+            self._put(held.number, tcp @ held.tcp_from_slab)
+            for number in self._struck_by(self._slabs[held.number]) - held.struck:
+                held.struck.add(number)
+                self._events.append(Event(EventKind.COLLIDED, held.number, tcp, f"ran into slab {number}"))
 
     def release(self, tcp: Frame) -> None:
         """Switch the vacuum off at ``tcp``: a held slab comes to rest on what is below it."""
@@ -216,6 +222,20 @@ class World:
                     return slab, ""
                 return None, f"the cup of radius {radius:g} mm is {edge:.2f} mm from the rim of slab {slab.number}"
         return None, "nothing is under the cup"
+
+    def _struck_by(self, slab: Slab) -> set[int]:
+        """Return the slabs at the height of a carried one whose outlines it runs into."""
+        level = [
+            other
+            for other in self._slabs
+            if other.number != slab.number
+            and other.top_mm > slab.bottom_mm + FACE_TOLERANCE_MM
+            and other.bottom_mm < slab.top_mm - FACE_TOLERANCE_MM
+        ]
+        if not level:
+            return set()
+        shape = slab.shape.buffer(-OVERLAP_MM)
+        return {other.number for other in level if shape.intersects(other.shape.buffer(-OVERLAP_MM))}
 
     def _support(self, slab: Slab) -> tuple[float, int | None]:
         """Return the height of what is under a slab, and the slab that is there, if any."""

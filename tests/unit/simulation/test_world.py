@@ -122,7 +122,22 @@ def test_a_slab_pressed_into_another_is_recorded() -> None:
 
     world.release(over(below, height=10.0 + 5.0))
 
-    assert world.events[-1].kind is EventKind.CRUSHED
+    assert [event.kind for event in world.events[1:]] == [EventKind.COLLIDED, EventKind.CRUSHED]
+
+
+def test_a_carried_slab_that_strikes_another_is_recorded_once_and_passes_clear_above_it() -> None:
+    world = World(DRESDEN, 1)
+    other = world.slabs[0]
+    world.grip(over(world.slabs[2]))
+
+    for height in (40.0, 21.5, 20.5):
+        world.moved(over(other, height=height))
+    assert [event.kind for event in world.events] == [EventKind.GRIPPED]
+
+    for height in (15.0, 14.0):
+        world.moved(over(other, height=height))
+    assert [event.kind for event in world.events] == [EventKind.GRIPPED, EventKind.COLLIDED]
+    assert world.events[-1].detail == "ran into slab 0"
 
 
 def test_slabs_laid_side_by_side_are_not_stacked() -> None:
@@ -130,7 +145,7 @@ def test_slabs_laid_side_by_side_are_not_stacked() -> None:
     lay(world, 2, 2)
     lay(world, 0, 0)
 
-    assert [event.kind for event in world.events].count(EventKind.RELEASED) == 2
+    assert [event.kind for event in world.events] == [EventKind.GRIPPED, EventKind.RELEASED] * 2
     assert [placement.filled for placement in world.placements(SLOTS)] == [True, False, True, False, False]
 
 
