@@ -72,7 +72,7 @@ def export_settings(config: CellConfig, path: Path, prefix: str | None = None) -
     robot = config.robot
     krl = robot.krl
     cell_ip = krl.cell_ip or robot.eki.host
-    if krl.robot_connects and (not _IPV4.fullmatch(cell_ip) or cell_ip == "0.0.0.0"):  # noqa: S104 - refused here
+    if krl.robot_connects and (not _IPV4.fullmatch(cell_ip) or cell_ip.startswith(("127.", "0."))):
         msg = (
             f"{path}: [robot.eki] host = {cell_ip!r} is not an address that the robot can connect to;"
             f" set [robot.krl] cell_ip to the IPv4 address of {socket.gethostname()} on the robot's network"

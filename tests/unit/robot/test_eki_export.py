@@ -110,7 +110,8 @@ def test_lines_end_as_windows_ends_them():
         ({"tool_number": 0}, "tool number 0: must be 1 to 16"),
         ({"vacuum_input": 5000}, "vacuum input 5000: must be 1 to 4096"),
         ({"channel": Channel(cell_port=0)}, "cell port 0"),
-        ({"channel": Channel(cell_ip="0.0.0.0")}, "own IPv4 address"),  # noqa: S104 - must be refused
+        ({"channel": Channel(cell_ip="0.0.0.0")}, "address of the cell PC"),  # noqa: S104 - must be refused
+        ({"channel": Channel(cell_ip="127.0.0.1")}, "address of the cell PC"),
         ({"robot_connects": False, "channel": Channel(robot_port=5000)}, "54600 to 54615 only"),
     ],
 )

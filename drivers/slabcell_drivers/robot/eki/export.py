@@ -110,8 +110,10 @@ def _check(settings: ExportSettings) -> None:
         )
     if settings.robot_connects and not 1 <= channel.cell_port <= 65_534:
         raise ExportError(f"cell port {channel.cell_port}: EKI connects to 1 to 65534; give the cell a fixed port")
-    if settings.robot_connects and channel.cell_ip in {"", "0.0.0.0", "::", "localhost"}:  # noqa: S104 - refused here
-        raise ExportError(f"cell address {channel.cell_ip!r}: the robot needs the cell PC's own IPv4 address")
+    if settings.robot_connects and channel.cell_ip.startswith(("127.", "0.")):
+        raise ExportError(
+            f"cell address {channel.cell_ip!r}: the robot needs the IPv4 address of the cell PC on its network"
+        )
     for name, number, limit in (
         ("tool number", settings.tool_number, 16),
         ("pick base number", settings.pick_base_number, 32),
