@@ -60,7 +60,7 @@ def compile_spline(compiler: "RoutineCompiler", node: Spline) -> None:
     """Emit a spline block: its segments pass into each other without a stop."""
     settings = [(compiler.place(t), compiler.expr(v)[0]) for t, v in node.settings]
     runner = compiler.interpreter.motion
-    approximated = bool(node.approximation)
+    order = MoveOrder(node.kind, (), approximation=node.approximation, file=compiler.code.file, line=node.place.line)
 
     def begin(a: Activation) -> Pause | None:
         if not runner.has_room:
@@ -70,7 +70,7 @@ def compile_spline(compiler: "RoutineCompiler", node: Spline) -> None:
         return None
 
     def end(_: Activation) -> None:
-        runner.end_spline(approximated=approximated)
+        runner.end_spline(order)
 
     compiler.emit_synchronized(begin)
     compiler.block(node.body)

@@ -139,10 +139,19 @@ class RoutineCompiler(ExpressionCompiler):
             self._emit(self.interpreter.synchronize)
         return self._emit(operation)
 
-    def _end(self, _: Activation) -> None:
+    def _end(self, a: Activation) -> Pause | None:
         if self.code.has_result:
             raise KrlError(RunMessage.NO_RESULT, f"{self.code.name} ends without RETURN of a value")
+        if self.interpreter.end_waits(a):
+            return Pause.MOTION
         self.interpreter.leave(None)
+        return None
+
+    def _end_of_procedure(self, a: Activation) -> Pause | None:
+        if self.interpreter.end_waits(a):
+            return Pause.MOTION
+        self.interpreter.leave(None)
+        return None
 
     def _end_of_action(self, _: Activation) -> None:
         self.interpreter.leave(None)
@@ -372,7 +381,7 @@ class RoutineCompiler(ExpressionCompiler):
     def _return(self, statement: Return) -> None:
         leave = self.interpreter.leave
         if statement.value is None:
-            self._emit(lambda _: leave(None))
+            self._emit(self._end_of_procedure)
             return
         function = self.expr(statement.value)[0]
         self.emit_synchronized(lambda a: leave(function(a)))

@@ -48,6 +48,7 @@ class Interpreter:
         self._cycflags: dict[int, tuple[Function, Activation]] = {}
         self._proceed: tuple[Activation, list[int]] | None = None
         self._braking = False
+        self._stopped_before: tuple[str, int] | None = None
 
     # --- programs and routines ----------------------------------------------------------------------------------
 
@@ -86,6 +87,8 @@ class Interpreter:
     @property
     def place(self) -> tuple[str, int]:
         """File and line of the statement that is executed."""
+        if self._stopped_before is not None:
+            return self._stopped_before
         if not self.stack:
             return "", 0
         top = self.stack[-1]
@@ -98,6 +101,7 @@ class Interpreter:
         """Execute up to so many operations; return why it stopped before, None if it did not.  Raises KrlError."""
         stack = self.stack
         hook = self.on_statement
+        self._stopped_before = None
         count = 0
         try:
             while count < quota and stack:
@@ -106,6 +110,7 @@ class Interpreter:
                 if hook is not None:
                     hook(top.code.file, top.code.lines[pc])
                     if self.stops:  # whoever watches the statements ended the program before this one
+                        self._stopped_before = (top.code.file, top.code.lines[pc])
                         return Pause.CONDITION
                 top.pc = pc + 1
                 count += 1
@@ -162,6 +167,13 @@ class Interpreter:
         activation.pc = end
         self._proceed = None
         return True
+
+    def end_waits(self, a: Activation) -> bool:
+        """Tell whether the program has to wait at its end, because the arm still moves."""
+        if len(self.stack) == 1 and self.motion.is_busy:
+            a.pc -= 1
+            return True
+        return False
 
     def synchronize(self, a: Activation) -> Pause | None:
         """Wait until the main run has caught up: the stop of the advance run.

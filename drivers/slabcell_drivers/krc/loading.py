@@ -1,6 +1,7 @@
 """How do the files of a project become its modules?"""
 
 from collections.abc import Mapping
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
@@ -29,10 +30,15 @@ def stem_of(name: str) -> str:
     return (head if dot and f".{ending.lower()}" in ENDINGS else last).upper()
 
 
+@cache
+def _predefined() -> Module:
+    source = files("slabcell_drivers.krc").joinpath("predefined.dat").read_bytes()
+    return parse(source, "predefined.dat")
+
+
 def load_predefined(project: Project) -> None:
     """Load the types and data that a controller brings along."""
-    source = files("slabcell_drivers.krc").joinpath("predefined.dat").read_bytes()
-    project.load([("$PREDEFINED", parse(source, "predefined.dat"))])
+    project.load([("$PREDEFINED", _predefined())])
 
 
 def load_sources(project: Project, sources: Mapping[str, bytes]) -> list[Module]:

@@ -1,6 +1,8 @@
 """Which trajectory does a motion instruction mean?  Points, frames and speeds of the program, made into a plan."""
 
 import itertools
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -16,8 +18,10 @@ from slabcell_drivers.krc.motion import (
     plan_ptp,
 )
 from slabcell_drivers.krc.motion_blend import Approximation, blend
+from slabcell_drivers.krc.motion_joint import plan_lin_joint
+from slabcell_drivers.krc.motion_spline import SegmentKind, SplineSegment, plan_spline
 from slabcell_drivers.krc.operators import FRAME_FIELDS, frame_of
-from slabcell_drivers.krc.values import StructValue, Value, text_of
+from slabcell_drivers.krc.values import EnumConstant, StructValue, Value, text_of
 from slabcell_drivers.robot.arm import ArmError, ArmModel, Axes
 from slabcell_drivers.robot.frame import Frame
 
@@ -142,9 +146,8 @@ class MotionPlanner:
     def plan(self, order: MoveOrder, start: Axes) -> Planned:
         """Return the plan of a motion that begins at ``start``.  Raises KrlError with the controller's message."""
         kind, _, relative = order.kind.partition("_")
-        if self.needs_axis_motion and kind not in _POINT_TO_POINT:
-            text = f"{order.kind}: the first motion after a program is selected has to be a PTP or SPTP"
-            raise KrlError(RunMessage.FIRST_MOTION, text)
+        if kind not in _POINT_TO_POINT:
+            self._check_first(order.kind)
         target = order.points[-1]
         if not isinstance(target, StructValue) or not target.fields:
             raise KrlError(RunMessage.VALUE_INVALID, f"{order.kind}: {text_of(target)} is no position")
@@ -163,6 +166,11 @@ class MotionPlanner:
             raise KrlError(motion_error.number, motion_error.text) from error
         self.needs_axis_motion = False
         return Planned(trajectory, tool, base)
+
+    def _check_first(self, kind: str) -> None:
+        if self.needs_axis_motion:
+            text = f"{kind}: the first motion after a program is selected has to be a PTP or SPTP"
+            raise KrlError(RunMessage.FIRST_MOTION, text)
 
     def plan_return(self, start: Axes, target: Axes) -> Trajectory:
         """Return the way back to an interrupted path."""
@@ -242,28 +250,35 @@ class MotionPlanner:
         self, order: MoveOrder, kind: str, start: Axes, tool: Frame, base: Frame, *, relative: bool
     ) -> Trajectory:
         limits = self._limits()
-
-        def in_root(point: Value) -> Frame:
-            if not isinstance(point, StructValue) or not point.fields:
-                raise KrlError(RunMessage.VALUE_INVALID, f"{order.kind}: {text_of(point)} is no position")
-            if any(name in point.fields for name in AXIS_FIELDS):
-                return self.arm.forward(self.axes_of(point, start, tool, base, relative=relative)) @ tool
-            return base @ self.frame_in_base(point, start, tool, base, relative=relative, reference=order.reference)
-
-        target = in_root(order.points[-1])
+        target = self._in_root(order, order.points[-1], start, tool, base, relative=relative)
         if kind in _CIRCLES:
             if len(order.points) != 2:
                 raise KrlError(RunMessage.ARGUMENTS, f"{order.kind} needs an auxiliary point and an end point")
             return plan_circ(
                 self.arm,
                 start,
-                in_root(order.points[0]),
+                self._in_root(order, order.points[0], start, tool, base, relative=relative),
                 target,
                 limits,
                 tool=tool,
                 circular_angle_deg=order.angle_deg,
             )
+        orientation = self._variables.read("$ORI_TYPE")
+        if isinstance(orientation, EnumConstant) and orientation.name == "JOINT":
+            return plan_lin_joint(self.arm, start, target, limits, tool=tool)
+        if isinstance(orientation, EnumConstant) and orientation.name == "CONSTANT":
+            now = self.arm.forward(start) @ tool
+            target = Frame(target.x_mm, target.y_mm, target.z_mm, now.a_deg, now.b_deg, now.c_deg)
         return plan_lin(self.arm, start, target, limits, tool=tool)
+
+    def _in_root(
+        self, order: MoveOrder, point: Value, start: Axes, tool: Frame, base: Frame, *, relative: bool
+    ) -> Frame:
+        if not isinstance(point, StructValue) or not point.fields:
+            raise KrlError(RunMessage.VALUE_INVALID, f"{order.kind}: {text_of(point)} is no position")
+        if any(name in point.fields for name in AXIS_FIELDS):
+            return self.arm.forward(self.axes_of(point, start, tool, base, relative=relative)) @ tool
+        return base @ self.frame_in_base(point, start, tool, base, relative=relative, reference=order.reference)
 
     # --- approximation and triggers -----------------------------------------------------------------------------
 
@@ -293,24 +308,74 @@ class MotionPlanner:
             return 100.0 if cvel is None else max(0.0, 100.0 - cvel)
         return 100.0
 
-    def trigger_time_s(self, trajectory: Trajectory, kind: str, trigger: "TriggerOrder") -> float:
-        """Return when in its motion a trigger fires; before the start counts as the start."""
-        at_start = trigger.on_start or (kind == "DISTANCE" and trigger.position == 0.0)
-        time_s = 0.0 if at_start else trajectory.duration_s
-        if kind == "PATH" and trigger.position:
-            time_s = self._time_at_path(trajectory, trigger.position, from_start=trigger.on_start)
+    def trigger_time_s(self, trajectory: Trajectory, trigger: "TriggerOrder", start_s: float, end_s: float) -> float:
+        """Return when in its motion a trigger fires; ``start_s`` to ``end_s`` is the way it refers to."""
+        at_start = trigger.on_start or (trigger.kind == "DISTANCE" and trigger.position == 0.0)
+        time_s = start_s if at_start else end_s
+        if trigger.kind == "PATH" and trigger.position:
+            time_s = self._time_along(trajectory, time_s, trigger.position)
         return max(0.0, time_s + trigger.delay_s)
 
-    def _time_at_path(self, trajectory: Trajectory, offset_mm: float, *, from_start: bool) -> float:
-        """Return when the path is so far behind its start, or (negative) before its end."""
+    def _time_along(self, trajectory: Trajectory, from_s: float, offset_mm: float) -> float:
+        """Return when the path is so much longer than at ``from_s``; shorter where the offset is negative."""
         steps = max(1, round(trajectory.duration_s / INTERPOLATION_TICK_S))
         times = [trajectory.duration_s * i / steps for i in range(steps + 1)]
-        points = [self.arm.forward_pose(trajectory.axes_at(t)).position for t in times]
+        points = [trajectory.tcp_at(t).position for t in times]
         lengths = [0.0]
         for a, b in itertools.pairwise(points):
-            lengths.append(lengths[-1] + sum((a[i] - b[i]) ** 2 for i in range(3)) ** 0.5)
-        wanted = offset_mm if from_start else lengths[-1] + offset_mm
-        for time_s, length in zip(times, lengths, strict=True):
-            if length >= wanted:
-                return time_s
-        return trajectory.duration_s
+            lengths.append(lengths[-1] + math.dist(a, b))
+        wanted = offset_mm + next(
+            (length for t, length in zip(times, lengths, strict=True) if t >= from_s - 1e-9), lengths[-1]
+        )
+        return next((t for t, length in zip(times, lengths, strict=True) if length >= wanted), trajectory.duration_s)
+
+    # --- splines ------------------------------------------------------------------------------------------------
+
+    def plan_spline(self, order: MoveOrder, segments: Sequence[MoveOrder], start: Axes) -> Planned:
+        """Return the plan of a spline block.  The settings of single segments are those of the block here."""
+        tool, base = self._frame("$TOOL", needed=True), self._frame("$BASE", needed=True)
+        try:
+            if order.kind == "PTP_SPLINE":
+                trajectory = self._plan_joint_spline(segments, start, tool, base)
+            else:
+                self._check_first(order.kind)
+                trajectory = self._plan_path_spline(segments, start, tool, base)
+        except MotionError as error:
+            raise KrlError(error.number, error.text) from error
+        except ArmError as error:
+            motion_error = as_motion_error(error)
+            raise KrlError(motion_error.number, motion_error.text) from error
+        self.needs_axis_motion = False
+        return Planned(trajectory, tool, base)
+
+    def _plan_path_spline(self, segments: Sequence[MoveOrder], start: Axes, tool: Frame, base: Frame) -> Trajectory:
+        here = start
+        found: list[SplineSegment] = []
+        for segment in segments:
+            kind, _, relative = segment.kind.partition("_")
+            if kind not in {"SPL", "SLIN", "SCIRC"}:
+                raise KrlError(RunMessage.NOT_SUPPORTED, f"{segment.kind} cannot stand in a SPLINE block")
+            points = [self._in_root(segment, p, here, tool, base, relative=bool(relative)) for p in segment.points]
+            found.append(
+                SplineSegment(
+                    SegmentKind(kind),
+                    points[-1],
+                    auxiliary=points[0] if len(points) > 1 else None,
+                    circular_angle_deg=segment.angle_deg,
+                )
+            )
+            here = self.arm.inverse(points[-1] @ tool.inverse(), near=here)
+        return plan_spline(self.arm, start, found, self._limits(), tool=tool)
+
+    def _plan_joint_spline(self, segments: Sequence[MoveOrder], start: Axes, tool: Frame, base: Frame) -> Trajectory:
+        whole: Trajectory | None = None
+        for segment in segments:
+            target = segment.points[-1]
+            if not segment.kind.startswith("SPTP") or not isinstance(target, StructValue):
+                raise KrlError(RunMessage.NOT_SUPPORTED, f"{segment.kind} cannot stand in a PTP_SPLINE block")
+            here = start if whole is None else whole.end_axes
+            part = self._plan_ptp(segment, target, here, tool, base, relative=segment.kind.endswith("_REL"))
+            whole = part if whole is None else blend(whole, part, Approximation()).trajectory
+        if whole is None:
+            raise KrlError(RunMessage.ARGUMENTS, "a PTP_SPLINE block without points")
+        return whole

@@ -15,7 +15,7 @@ from slabcell_drivers.krc.clock import Clock
 from slabcell_drivers.krc.code import Activation, Pause
 from slabcell_drivers.krc.messages import RunMessage
 from slabcell_drivers.krc.motion import Trajectory
-from slabcell_drivers.krc.motion_planner import MotionPlanner, MoveOrder
+from slabcell_drivers.krc.motion_planner import MotionPlanner, MoveOrder, Planned
 from slabcell_drivers.krc.values import Value, copy_value
 from slabcell_drivers.robot.arm import Axes
 from slabcell_drivers.robot.frame import Frame
@@ -51,7 +51,6 @@ class Move:
     blend_s: float = 0.0
     elapsed_s: float = 0.0
     triggers: list[tuple[float, TriggerOrder]] = field(default_factory=list[tuple[float, TriggerOrder]])
-    is_exact: bool = False
 
 
 @dataclass(slots=True)
@@ -92,7 +91,9 @@ class MotionRunner:
         self._pending: list[TriggerOrder] = []
         self._rate = 1.0
         self._rate_change = 0.0  # per second, while braking
-        self._spline: list[Move] | None = None
+        self._spline: list[MoveOrder] | None = None  # the segments of the block that is being read
+        self._spline_triggers: list[tuple[int, TriggerOrder]] = []
+        self._spline_settings: list[tuple[Place, Value]] = []
         self._held: list[_Held] = []
         self.reports_every_step = False
         self.travelled_s = 0.0
@@ -167,16 +168,23 @@ class MotionRunner:
         """Plan a motion from where the one before it ends.  Raises KrlError."""
         if self._rate_change < 0.0 or self._rate == 0.0:
             self._hold()
-        planned = self.planner.plan(order, self._planned)
-        move = Move(order, planned.trajectory, planned.tool, planned.base, bool(order.approximation))
-        for trigger in self._pending:
-            move.triggers.append((self.planner.trigger_time_s(move.trajectory, trigger.kind, trigger), trigger))
-        move.triggers.sort(key=lambda item: item[0])
-        self._pending.clear()
-        self._planned = move.trajectory.end_axes
         if self._spline is not None:
-            move.approximated = True
-            self._spline.append(move)
+            self._spline.append(order)
+            self._spline_triggers += [(len(self._spline) - 1, trigger) for trigger in self._pending]
+            self._pending.clear()
+            return
+        planned = self.planner.plan(order, self._planned)
+        duration_s = planned.trajectory.duration_s
+        triggers = [(trigger, 0.0, duration_s) for trigger in self._pending]
+        self._pending.clear()
+        self._take(order, planned, triggers)
+
+    def _take(self, order: MoveOrder, planned: Planned, triggers: list[tuple[TriggerOrder, float, float]]) -> None:
+        move = Move(order, planned.trajectory, planned.tool, planned.base, bool(order.approximation))
+        for trigger, start_s, end_s in triggers:
+            move.triggers.append((self.planner.trigger_time_s(move.trajectory, trigger, start_s, end_s), trigger))
+        move.triggers.sort(key=lambda item: item[0])
+        self._planned = move.trajectory.end_axes
         self._enqueue(move)
 
     def _enqueue(self, move: Move) -> None:
@@ -191,10 +199,8 @@ class MotionRunner:
         wanted = self.planner.blend_s(before.order, before.trajectory, after.trajectory)
         left = before.trajectory.duration_s - before.elapsed_s
         blend = min(wanted, before.trajectory.duration_s / 2, after.trajectory.duration_s / 2)
-        if before.is_exact or (before is self._active and left < blend) or self.planner.advance == 0:
-            self._notify(RunMessage.APPROXIMATION_NOT_POSSIBLE, "Approximation not possible")
-            return
-        before.blend_s = blend
+        if before is not self._active or left >= blend:
+            before.blend_s = blend
 
     def add_trigger(self, trigger: TriggerOrder) -> None:
         """Keep a trigger for the next motion."""
@@ -202,15 +208,20 @@ class MotionRunner:
 
     def begin_spline(self, values: Sequence[tuple[Place, Value]]) -> None:
         """Begin a spline block: its settings hold for all its segments."""
-        for place, value in values:
-            place.set(value)
+        self._spline_settings = list(values)
         self._spline = []
 
-    def end_spline(self, *, approximated: bool) -> None:
-        """End a spline block: its last segment ends exactly unless the block is approximated."""
+    def end_spline(self, order: MoveOrder) -> None:
+        """End a spline block: all its segments are one motion.  Raises KrlError."""
         segments, self._spline = self._spline or [], None
-        if segments and not approximated:
-            segments[-1].approximated = False
+        triggers, self._spline_triggers = self._spline_triggers, []
+        if not segments:
+            return
+        with self.settings(self._spline_settings):
+            planned = self.planner.plan_spline(order, segments, self._planned)
+        marks = (0.0, *planned.trajectory.marks_s, planned.trajectory.duration_s)
+        last = len(marks) - 2
+        self._take(order, planned, [(t, marks[min(i, last)], marks[min(i, last) + 1]) for i, t in triggers])
 
     # --- execution ----------------------------------------------------------------------------------------------
 
@@ -250,6 +261,8 @@ class MotionRunner:
             self._active = None
             self._begin_next()
             return left - used, True
+        if move.approximated:
+            self._notify(RunMessage.APPROXIMATION_NOT_POSSIBLE, "Approximation not possible")
         self._advance(move, 1.0)  # what was to happen behind the end
         self._standing = move.trajectory.end_axes
         self._active = None
