@@ -24,8 +24,9 @@ from slabcell_drivers.krc.motion_runner import Move
 from slabcell_drivers.krc.parser import parse
 from slabcell_drivers.krc.scope import ModuleScope
 from slabcell_drivers.krc.smartpad import ShownMessage
-from slabcell_drivers.krc.syntax import Assign, Diagnostic, Routine
+from slabcell_drivers.krc.syntax import Assign, DataList, Diagnostic, Routine
 from slabcell_drivers.krc.values import EnumConstant
+from slabcell_drivers.krc.write_back import written_back
 from slabcell_drivers.robot.arm import ArmModel, Axes
 from slabcell_drivers.robot.frame import Frame
 
@@ -130,6 +131,7 @@ class SoftwareKrc:
         kernel.motion.reports_every_step = speed is not None or "path" in self._kinds
         found = read_project(sources) if isinstance(sources, Path) else dict(sources)
         self.diagnostics: list[Diagnostic] = []
+        self._data_lists: dict[str, tuple[bytes, DataList]] = {}
         self._load(found)
 
     def _load(self, sources: Mapping[str, bytes]) -> None:
@@ -138,6 +140,8 @@ class SoftwareKrc:
         self._kernel.system.populate()
         for module in load_sources(project, sources):
             self.diagnostics.extend(module.diagnostics)
+            if module.data is not None:
+                self._data_lists[module.file] = (sources[module.file], module.data)
         self.diagnostics.extend(project.problems)
 
     # --- running ------------------------------------------------------------------------------------------------
@@ -350,6 +354,14 @@ class SoftwareKrc:
     def set_data(self, module: str, name: str, value: object) -> None:
         """Set a variable from a number, text, Frame, dict or list.  Raises KrlError: not declared, or not fitting."""
         self._place(module, name).set(to_krl(value))
+
+    def data_files(self) -> dict[str, bytes]:
+        """Return the project's data lists with the values of now: what the controller keeps over power-off."""
+        modules = self._kernel.project.modules
+        return {
+            file: written_back(source, data, modules[stem_of(file)].data)
+            for file, (source, data) in self._data_lists.items()
+        }
 
     def _place(self, module: str, name: str) -> Place:
         parsed = parse(f"DEF X()\n{name}=0\nEND\n", "data")
