@@ -21,6 +21,8 @@ VERBS: Final[dict[str, tuple[str, str, str]]] = {
     "locate": ("slabcell.cli.locate", "locate_command", "Find the slabs on image files, and the slot of each."),
     "calibrate": ("slabcell.cli.calibrate", "calibrate_app", "Make a calibration from images of a board."),
     "template": ("slabcell.cli.template", "template_app", "Check and draw a template."),
+    "camera": ("slabcell.cli.camera", "camera_app", "Find, set and test cameras."),
+    "sim": ("slabcell.cli.sim", "sim_app", "Run devices in software."),
     "krl": ("slabcell.cli.krl", "krl_app", "Check the robot programs."),
     "krc": ("slabcell.cli.krc", "krc_app", "Run robot programs in the software KRC."),
 }

@@ -11,6 +11,7 @@ from slabcell_drivers.camera.protocol import (
     CameraState,
     CameraTimeout,
     ImageFrame,
+    Pixels,
 )
 from slabcell_drivers.camera.replay import ReplayCamera, ReplayMode
 from slabcell_drivers.camera.simulated import CameraFault, SimulatedCamera
@@ -27,6 +28,7 @@ __all__ = [
     "CameraState",
     "CameraTimeout",
     "ImageFrame",
+    "Pixels",
     "ReplayCamera",
     "ReplayMode",
     "SimulatedCamera",

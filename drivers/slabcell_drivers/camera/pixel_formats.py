@@ -17,9 +17,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["PIXEL_FORMATS", "Layout", "PixelFormat", "PixelFormatError", "Pixels", "decode_pixels", "format_of_code"]
+from slabcell_drivers.camera.protocol import Pixels
 
-Pixels = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
+__all__ = ["PIXEL_FORMATS", "Layout", "PixelFormat", "PixelFormatError", "decode_pixels", "format_of_code"]
 
 
 class PixelFormatError(Exception):

@@ -18,7 +18,12 @@ __all__ = [
     "CameraState",
     "CameraTimeout",
     "ImageFrame",
+    "Pixels",
 ]
+
+
+Pixels = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
+"""A picture: (height, width), or (height, width, 3) in BGR order.  16-bit values are at full scale: white is 65535."""
 
 
 class CameraError(Exception):
@@ -70,12 +75,11 @@ class CameraInfo:
 class ImageFrame:
     """One complete picture and when it was taken.
 
-    ``pixels`` is (height, width) uint8 or uint16, or (height, width, 3) uint8 in BGR order; it owns its memory and is
-    not written again.  The times are of the host's monotonic clock, in seconds; ``device_timestamp_ns`` is the
-    camera's own clock where it has one.
+    ``pixels`` owns its memory and is not written again.  The times are of the host's monotonic clock, in seconds;
+    ``device_timestamp_ns`` is the camera's own clock where it has one.
     """
 
-    pixels: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
+    pixels: Pixels
     pixel_format: str
     frame_id: int
     triggered_s: float

@@ -169,7 +169,8 @@ def test_trigger_resend_and_test_packet_are_passed_on(client: Client, control: C
     assert client.read(Register.STREAM_PACKET_SIZE) == 8000
     resend = encode_request(Request(Command.PACKET_RESEND, 1, struct.pack(">HHII", 0, 9, 3, 5), flags=0))
     assert control.handle(resend, CLIENT, 0.0).effects == (ResendWanted(9, 3, 5),)
-    assert control.handle(resend, OTHER, 0.0).effects == ()
+    assert control.handle(resend, (CLIENT[0], 50_002), 0.0).effects == (ResendWanted(9, 3, 5),)  # its stream's socket
+    assert control.handle(resend, ("127.0.0.2", 50_000), 0.0).effects == ()
 
 
 def test_force_ip_moves_only_the_camera_that_is_meant(control: Control):

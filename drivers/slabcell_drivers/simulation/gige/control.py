@@ -134,7 +134,8 @@ class Control:
             case Command.FORCE_IP:
                 return self._force_ip(body, effects)
             case Command.PACKET_RESEND:
-                if source == self.controller and len(body) >= 12:
+                # Clients ask from the socket that the stream comes to, not from that of control.
+                if self.controller is not None and source[0] == self.controller[0] and len(body) >= 12:
                     _channel, block, first, last = struct.unpack_from(">HHII", body)
                     effects.append(ResendWanted(block, first & 0xFF_FFFF, last & 0xFF_FFFF))
                 return None

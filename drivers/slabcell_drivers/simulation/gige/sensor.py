@@ -11,7 +11,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from slabcell_drivers.camera.pixel_formats import Layout, PixelFormat, Pixels
+from slabcell_drivers.camera.pixel_formats import Layout, PixelFormat
+from slabcell_drivers.camera.protocol import Pixels
 from slabcell_drivers.simulation.gige.faults import Faults
 from slabcell_drivers.simulation.gige.registers import StreamSettings
 

@@ -1,0 +1,136 @@
+"""Cameras to test with: in this process, or as programs that can be killed; each test's on an address of its own."""
+
+import itertools
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from slabcell_drivers.camera.aravis_library import AravisLibrary, AravisMissingError
+from slabcell_drivers.simulation.gige import CheckedPattern, GigeCamera, SensorLimits
+
+SLABCELL = str(Path(sys.executable).parent / "slabcell")
+
+
+def need(missing: str | None) -> None:
+    """Skip, or fail where cameras must be tested, because something is not on this machine."""
+    if missing is None:
+        return
+    if os.environ.get("SLABCELL_REQUIRE_CAMERA") == "1":
+        pytest.fail(missing)
+    pytest.skip(missing)
+
+
+@pytest.fixture(scope="session")
+def aravis(_addresses: Iterator[str]) -> AravisLibrary:
+    try:
+        library = AravisLibrary()
+    except AravisMissingError as error:
+        need(str(error))
+        raise
+    # The library opens a socket at the first use and keeps it; no single test is to be blamed for that.
+    with GigeCamera(CheckedPattern(64, 48), next(_addresses), limits=SensorLimits(64, 48)) as camera:
+        library.unref(library.call("arv_camera_new", camera.address.encode()))
+    return library
+
+
+@pytest.fixture(scope="session")
+def _addresses(worker_id: str) -> Iterator[str]:
+    """Addresses that no other worker of this run uses."""
+    block = 20 + int(worker_id.removeprefix("gw") or 0) if worker_id != "master" else 19
+    return (f"127.0.{block + 20 * high}.{low}" for high, low in itertools.product(range(10), range(1, 255)))
+
+
+@pytest.fixture
+def address(_addresses: Iterator[str]) -> str:
+    return next(_addresses)
+
+
+@pytest.fixture
+def another_address(_addresses: Iterator[str]) -> str:
+    return next(_addresses)
+
+
+@pytest.fixture
+def pattern() -> CheckedPattern:
+    return CheckedPattern(640, 480)
+
+
+@pytest.fixture
+def gige(address: str, pattern: CheckedPattern) -> Iterator[GigeCamera]:
+    """A small camera in this process."""
+    with GigeCamera(pattern, address, serial=f"T-{address}", limits=SensorLimits(640, 480)) as camera:
+        yield camera
+
+
+class Program:
+    """A camera in software that runs as a program."""
+
+    def __init__(self, *options: str) -> None:
+        self._command = [SLABCELL, "sim", "camera", *options]
+        self._process: subprocess.Popen[str] | None = None
+
+    def start(self) -> None:
+        self._process = subprocess.Popen(
+            self._command, stdout=subprocess.PIPE, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        if "ready at" not in line:
+            _, errors = self._process.communicate()
+            pytest.fail(f"{' '.join(self._command)}: {line}{errors}")
+
+    def signal(self, number: signal.Signals) -> None:
+        assert self._process is not None
+        self._process.send_signal(number)
+
+    def do(self, verb: str) -> None:
+        """Have the camera do what a fault verb says, and return when it has heard it."""
+        assert self._process is not None
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(verb + "\n")
+        self._process.stdin.flush()
+        assert self._process.stdout.readline() == f"done: {verb}\n"
+
+    def end(self) -> None:
+        if self._process is None:
+            return
+        if self._process.poll() is None:
+            self._process.kill()
+        self._process.communicate()
+        self._process = None
+
+
+@pytest.fixture
+def program() -> Iterator[Callable[..., Program]]:
+    """Starts cameras as programs, and ends them after the test."""
+    started: list[Program] = []
+
+    def start(*options: str) -> Program:
+        found = Program(*options)
+        started.append(found)
+        found.start()
+        return found
+
+    yield start
+    for found in started:
+        found.end()
+
+
+@pytest.fixture
+def tool() -> Callable[[str], str]:
+    """Finds a program of the ecosystem."""
+
+    def find(name: str) -> str:
+        path = shutil.which(name)
+        need(None if path else f"{name} is not installed (apt-get install aravis-tools aravis-tools-cli)")
+        assert path is not None
+        return path
+
+    return find
