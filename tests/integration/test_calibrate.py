@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from slabcell.calibration import load_calibration
+from slabcell_drivers.robot.frame import Frame
 from slabcell_drivers.simulation import camera_views, load_scene, plane_views, render_board
 from slabcell_drivers.simulation.projection import Projector
 
@@ -126,3 +128,51 @@ def test_what_cannot_be_done_is_said_without_a_traceback(boards, tmp_path, argum
     assert about in done.stderr
     assert "Traceback" not in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_check_holds_on_the_same_table_and_fails_on_a_raised_one(scene, boards, lens, tmp_path):
+    out = tmp_path / "cell.json"
+    board = ("--board", scene.board.name, "--board-thickness-mm", scene.board.thickness_mm)
+    done = calibrate("plane", "--calibration", lens[0], *board, "--out", out, *sorted(boards.glob("table-*")))
+    assert done.returncode == 0, done.stderr
+    spare = plane_views(scene, 6)[5]
+    good, raised = tmp_path / "good.png", tmp_path / "raised.png"
+    for path, pose in ((good, spare), (raised, replace(spare, z_mm=spare.z_mm + 4.0))):
+        assert cv2.imwrite(str(path), render_board(scene.camera, scene.optics, scene.board, pose, seed=77))
+    held = calibrate("check", "--calibration", out, *board, good, "--reference", good)
+    assert held.returncode == 0, held.stderr + held.stdout
+    assert "the calibration holds" in held.stdout
+    moved = calibrate("check", "--calibration", out, *board, raised, "--json")
+    assert moved.returncode == 1
+    report = json.loads(moved.stdout)
+    assert report["ok"] is False
+    assert report["board"]["lift_mm"] == pytest.approx(4.0, abs=0.3)
+    nothing = calibrate("check", "--calibration", out, good)
+    assert nothing.returncode == 2
+    assert "--board or --marks" in nothing.stderr
+
+
+def test_hand_eye_finds_the_camera_that_the_robot_shows_the_board_to(scene, boards, lens, tmp_path):
+    on_flange = Frame(-80.0, 60.0, 40.0, 3.0, 2.0, 178.0)
+    random = np.random.default_rng(8)
+    lines = ["image,X,Y,Z,A,B,C"]
+    for n, pose in enumerate(camera_views(scene, 3, 9)):
+        flange = (pose @ on_flange.inverse()).as_tuple()
+        noisy = np.array(flange) + random.normal(0.0, [0.05] * 3 + [0.01] * 3)
+        lines.append(f"lens-{n}.png," + ",".join(f"{v:.5f}" for v in noisy))
+    poses = tmp_path / "poses.csv"
+    poses.write_text("\n".join(lines))
+    out = tmp_path / "hand-eye.json"
+    pictures = sorted(boards.glob("lens-*.png"))
+    common = ("hand-eye", "--calibration", lens[0], "--board", scene.board.name, "--poses", poses, "--out", out)
+    done = calibrate(*common, "--mount", "eye-to-hand", "--json", *pictures)
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert np.abs(np.array(report["camera"][:3]) - scene.camera.frame.as_tuple()[:3]).max() < 1.5
+    assert report["holdout_mm"] < 0.5
+    assert load_calibration(out).hand_eye.mount == "eye-to-hand"
+    shown = calibrate(*common, "--mount", "eye-to-hand", *pictures)
+    assert "camera in the base" in shown.stdout
+    wrong = calibrate(*common, "--mount", "eye-in-hand", *pictures)
+    assert wrong.returncode == 78
+    assert "fit --mount eye-to-hand" in wrong.stderr

@@ -2,6 +2,7 @@
 
 from slabcell.calibration.boards import Board
 from slabcell.calibration.camera import CameraResult, LensModel, calibrate_camera
+from slabcell.calibration.check import BoardCheck, Drift, check_board, drift_of_board, drift_of_marks, load_marks
 from slabcell.calibration.detection import Detection, detect_board, detect_boards
 from slabcell.calibration.file import from_document as calibration_from_document
 from slabcell.calibration.file import load_calibration, save_calibration
@@ -13,10 +14,12 @@ from slabcell.calibration.touch import Touch, TouchFit, load_touch
 
 __all__ = [
     "Board",
+    "BoardCheck",
     "Calibration",
     "CameraIdentity",
     "CameraResult",
     "Detection",
+    "Drift",
     "HandEye",
     "HandEyeMethod",
     "HandEyeResult",
@@ -33,9 +36,13 @@ __all__ = [
     "calibrate_plane",
     "calibration_from_document",
     "calibration_to_document",
+    "check_board",
     "detect_board",
     "detect_boards",
+    "drift_of_board",
+    "drift_of_marks",
     "load_calibration",
+    "load_marks",
     "load_poses",
     "load_touch",
     "save_calibration",

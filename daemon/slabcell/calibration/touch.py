@@ -8,23 +8,22 @@ first picture if there is no such column) or a mark on the table whose pixel is 
     plane-0.png,0,0,152.31,-104.20  412.5,388.0,152.31,-104.20
 """
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from slabcell.calibration.csv_file import read_rows
 from slabcell.calibration.model import TablePlane
 from slabcell.errors import CalibrationError
 from slabcell.geometry import Points
 
 __all__ = ["Touch", "TouchFit", "fit_touch", "load_touch"]
 
-MAX_BYTES = 1 << 20
-MAX_POINTS = 10_000
 MAX_MM = 1e5
+MAX_PX = 1e5
+MAX_COUNT = 10_000
 AFFINE_MIN_POINTS = 6
 AFFINE_GAIN = 0.8
 """The affine fit is chosen only if its hold-out residual is below this part of the rigid one's."""
@@ -168,59 +167,13 @@ def _holdout(source: Points, target: Points, *, affine: bool) -> float:
 
 def load_touch(path: Path) -> list[Touch]:
     """Return the touched points of a CSV file.  Raises CalibrationError that names file, line and column."""
-    try:
-        with path.open("rb") as stream:
-            raw = stream.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
-    if len(raw) > MAX_BYTES:
-        raise CalibrationError(f"{path}: is larger than {MAX_BYTES} bytes, which no list of touched points is")
-    try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise CalibrationError(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8") from error
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    if not lines or len(lines) > MAX_POINTS:
-        raise CalibrationError(f"{path}: holds {len(lines)} lines; a header and 3 to {MAX_POINTS} points are needed")
-    delimiter = max(",;\t", key=lines[0].count)
-    try:
-        rows = list(csv.reader(io.StringIO("\n".join(lines)), delimiter=delimiter, strict=True))
-    except csv.Error as error:
-        raise CalibrationError(f"{path}: is not CSV: {error}") from error
-    header = [name.strip().lower().removesuffix("_mm").removesuffix("_px") for name in rows[0]]
-    corner, mark = {"column", "row"} <= set(header), {"u", "v"} <= set(header)
-    if not {"x", "y"} <= set(header) or corner == mark or len(set(header)) != len(header):
-        raise CalibrationError(
-            f"{path}: the header is {','.join(rows[0])[:200]!r}; it must be image,column,row,x,y or u,v,x,y"
-        )
+    header, rows = read_rows(path, "image,column,row,x,y", "column,row,x,y", "u,v,x,y")
     touches: list[Touch] = []
-    for number, row in enumerate(rows[1:], 1):
-        where = f"{path}: point {number}"
-        if len(row) != len(header):
-            raise CalibrationError(f"{where} has {len(row)} values, the header {len(header)}")
-        values = dict(zip(header, (v.strip() for v in row), strict=True))
-        number_of = _Reader(where, values)
-        x, y = number_of("x"), number_of("y")
-        name = f"point {number}"
-        if mark:
-            touches.append(Touch(name, x, y, pixel=(number_of("u"), number_of("v"))))
+    for number, row in enumerate(rows, 1):
+        name, x, y = f"point {number}", row.number("x", MAX_MM), row.number("y", MAX_MM)
+        if header == "u,v,x,y":
+            touches.append(Touch(name, x, y, pixel=(row.number("u", MAX_PX), row.number("v", MAX_PX))))
         else:
-            column, row_number = number_of("column"), number_of("row")
-            touches.append(Touch(name, x, y, values.get("image", ""), (int(column), int(row_number))))
+            corner = (row.count("column", MAX_COUNT), row.count("row", MAX_COUNT))
+            touches.append(Touch(name, x, y, row.text("image"), corner))
     return touches
-
-
-@dataclass(frozen=True, slots=True)
-class _Reader:
-    where: str
-    values: dict[str, str]
-
-    def __call__(self, key: str) -> float:
-        text = self.values[key]
-        try:
-            value = float(text)
-        except ValueError:
-            value = np.nan
-        if not abs(value) <= MAX_MM:
-            raise CalibrationError(f"{self.where}: {key} = {text[:40]!r} is not a number within ±{MAX_MM:g}")
-        return value

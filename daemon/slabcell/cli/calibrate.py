@@ -11,12 +11,14 @@ import numpy.typing as npt
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
+from rich.table import Column, Table
 
 from slabcell.calibration import (
     Board,
+    BoardCheck,
     CameraResult,
     Detection,
+    Drift,
     HandEyeMethod,
     HandEyeResult,
     LensModel,
@@ -25,15 +27,20 @@ from slabcell.calibration import (
     calibrate_camera,
     calibrate_hand_eye,
     calibrate_plane,
+    check_board,
+    detect_board,
     detect_boards,
+    drift_of_board,
+    drift_of_marks,
     load_calibration,
+    load_marks,
     load_poses,
     load_touch,
     save_calibration,
 )
 from slabcell.calibration.coverage import draw_coverage
 from slabcell.calibration.detection import Picture
-from slabcell.errors import CalibrationError, ImageError, SlabcellError
+from slabcell.errors import CalibrationError, ImageError, SlabcellError, UsageError
 from slabcell.images import read_image
 
 __all__ = ["calibrate_app"]
@@ -123,9 +130,7 @@ def plane_command(
     shown = Board.parse(board)
     touched = load_touch(touch) if touch is not None else []
     if affine is not None and touch is None:
-        raise typer.BadParameter(
-            "only touched points can be fitted so; give --touch POINTS.csv", param_hint="--affine/--rigid"
-        )
+        raise UsageError("--affine and --rigid say how touched points are fitted: give --touch POINTS.csv as well")
     detections, failures = _detect(images, shown, quiet=as_json)
     if detections and detections[0].name != str(images[0]) and touch is None:
         raise ImageError(f"{failures[0]} (the first picture's board is the table's frame)")
@@ -187,6 +192,105 @@ def hand_eye_command(
         typer.echo(json.dumps({**document, "not_found": failures}))
     else:
         _print_hand_eye(result, out, failures)
+
+
+@calibrate_app.command("check")
+def check_command(
+    image: Annotated[
+        Path, typer.Argument(metavar="IMAGE", help="A new picture: of the board, or of marks that never move.")
+    ],
+    calibration: CalibrationFile,
+    board: Annotated[
+        str | None,
+        typer.Option("--board", metavar="BOARD", help="The board that lies on the table, as in the calibration."),
+    ] = None,
+    board_thickness_mm: Annotated[
+        float, typer.Option("--board-thickness-mm", metavar="MM", help="Height of the printed face above the table.")
+    ] = 0.0,
+    reference: Annotated[
+        Path | None,
+        typer.Option(
+            "--reference",
+            metavar="IMAGE",
+            help="An older picture of the same fixed board or marks, for sideways drift.",
+        ),
+    ] = None,
+    marks: Annotated[
+        Path | None,
+        typer.Option("--marks", metavar="MARKS.csv", help="u,v: pixels of fixed marks in the older picture."),
+    ] = None,
+    limit_mm: Annotated[
+        float, typer.Option("--limit-mm", min=0.001, max=100, help="Drift above which the check fails.")
+    ] = 0.2,
+    *,
+    as_json: AsJson = False,
+) -> None:
+    """Measure how far a calibration drifted, on one new picture; exit code 1 if it no longer holds."""
+    known = load_calibration(calibration)
+    if (board is None) == (marks is None):
+        raise UsageError("a check needs either --board or --marks")
+    if marks is not None and reference is None:
+        raise UsageError("--marks are pixels of an older picture: give it with --reference")
+    found: BoardCheck | None = None
+    drift: Drift | None = None
+    problems: list[str] = []
+    picture = read_image(image)
+    if board is not None:
+        shown = Board.parse(board)
+        now = detect_board(picture, shown, str(image))
+        found = check_board(known, now, shown, board_thickness_mm=board_thickness_mm, limit_mm=limit_mm)
+        problems += found.problems
+        if reference is not None:
+            before = detect_board(read_image(reference), shown, str(reference))
+            drift = drift_of_board(known, before, now, board_thickness_mm=board_thickness_mm)
+    elif marks is not None and reference is not None:
+        drift, missing = drift_of_marks(known, read_image(reference), picture, load_marks(marks))
+        problems += [f"{image}: {line}" for line in missing]
+    if drift is not None and drift.worst_mm > limit_mm:
+        problems.append(
+            f"{image}: what is fixed moved by {drift.worst_mm:.2f} mm at most ({drift.x_mm:+.2f}, {drift.y_mm:+.2f} mm,"
+            f" {drift.turn_deg:+.3f}°), the limit is {limit_mm:g} mm: the camera was moved; calibrate the plane again"
+        )
+    if as_json:
+        document = {
+            "schema": "slabcell.calibrate-check/1",
+            "image": str(image),
+            "ok": not problems,
+            "board": found.to_document() if found else None,
+            "drift": drift.to_document() if drift else None,
+            "problems": problems,
+        }
+        typer.echo(json.dumps(document))
+    else:
+        _print_check(found, drift, problems)
+    if problems:
+        raise typer.Exit(1)
+
+
+def _print_check(found: BoardCheck | None, drift: Drift | None, problems: Sequence[str]) -> None:
+    console = Console()
+    rows: list[tuple[str, str]] = []
+    if found is not None:
+        usual = "" if found.calibrated_rms_px is None else f" (calibrated with {found.calibrated_rms_px:.3f})"
+        rows.append(("residual of the corners", f"{found.lens_rms_px:.3f} px{usual}"))
+        if found.lift_mm is not None and found.tilt_deg is not None and found.scale_ppm is not None:
+            rows.append(("the board lies", f"{found.lift_mm:+.3f} mm off the table, tilted by {found.tilt_deg:.3f}°"))
+            rows.append(("scale on the table", f"{found.scale_ppm:+.0f} ppm"))
+    if drift is not None:
+        rows.append(
+            ("drift", f"{drift.x_mm:+.3f}, {drift.y_mm:+.3f} mm, {drift.turn_deg:+.4f}°, {drift.scale_ppm:+.0f} ppm")
+        )
+        rows.append(
+            ("points", f"{drift.points}, moved {drift.mean_mm:.3f} mm on average, {drift.worst_mm:.3f} mm at most")
+        )
+    table = Table("Checked", "Found")
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)
+    for line in problems:
+        console.print(f"problem: {line}", style="red", highlight=False, markup=False)
+    if not problems:
+        console.print("the calibration holds", highlight=False)
 
 
 def _detect(paths: Sequence[Path], board: Board, *, quiet: bool) -> tuple[list[Detection], list[str]]:
@@ -327,7 +431,7 @@ def _print_hand_eye(result: HandEyeResult, out: Path, failures: Sequence[str]) -
     }
     if result.table is not None:
         frames["table in the base"] = result.table
-    places = Table("", "X mm", "Y mm", "Z mm", "A °", "B °", "C °")
+    places = Table(Column(no_wrap=True), "X mm", "Y mm", "Z mm", "A °", "B °", "C °")
     for name, frame in frames.items():
         places.add_row(name, *(f"{v:.3f}" for v in frame))
     console.print(places)

@@ -232,7 +232,7 @@ def test_a_poses_file_is_read(tmp_path):
     ("text", "about"),
     [
         ("", "holds 0 lines"),
-        ("image,X,Y,Z,RX,RY,RZ\n", "must be image,X,Y,Z,A,B,C"),
+        ("image,X,Y,Z,RX,RY,RZ\na.png,1,2,3,4,5,6\n", "must be image,X,Y,Z,A,B,C"),
         ("image,X,Y,Z,A,B,C\n\na.png,1,2,3\n", "line 3 has 4 values"),
         ("image,X,Y,Z,A,B,C\na.png,1,2,3,4,5,inf\n", "line 2: C = 'inf'"),
         ("image,X,Y,Z,A,B,C\na.png,1,2,x,4,5,6\n", "line 2: Z = 'x'"),

@@ -27,9 +27,10 @@ def andreff(a: Array, b: Array) -> Array:
         rows[:, 9 + axis, 3 * axis : 3 * axis + 3] = shift_b
     rows[:, 9:, 9:] = np.eye(3) - turn_a
     right = np.concatenate([np.zeros((count, 9)), shift_a], axis=1)
-    # Triangular first: a hundredfold less work for the singular values, and no worse conditioned.
-    triangle = np.asarray(np.linalg.qr(np.column_stack([rows.reshape(-1, 12), right.ravel()]))[1], np.float64)
-    solution = np.asarray(np.linalg.lstsq(triangle[:12, :12], triangle[:12, 12], rcond=None)[0], np.float64)
+    normal: Array = np.asarray(np.einsum("nji,njk->ik", rows, rows), np.float64)
+    solution: Array = np.asarray(
+        np.linalg.pinv(normal, hermitian=True) @ np.einsum("nji,nj->i", rows, right), np.float64
+    )
     matrix = solution[:9].reshape(3, 3)
     scale = np.cbrt(np.linalg.det(matrix))
     if abs(scale) < 1e-9:

@@ -4,8 +4,6 @@ POSES.csv has a header ``image,X,Y,Z,A,B,C`` and a line for each picture: the po
 robot's base, X Y Z in mm, A B C in degrees, R = Rz(A)·Ry(B)·Rx(C) as KUKA shows it.
 """
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +12,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
+from slabcell.calibration.csv_file import read_rows
 from slabcell.calibration.detection import Detection, best_variant
 from slabcell.calibration.handeye.motion import Array, hat, inverse, kuka_matrix, rigid
 from slabcell.calibration.model import Calibration, Lens
@@ -24,8 +23,6 @@ __all__ = ["Mount", "RobotPose", "Stations", "load_poses", "make_stations"]
 
 Mount = Literal["eye-to-hand", "eye-in-hand"]
 
-MAX_BYTES = 1 << 20
-MAX_POSES = 2000
 MAX_MM = 1e5
 MAX_DEG = 720.0
 NOISE_FLOOR_PX = 0.02
@@ -139,47 +136,10 @@ def _by_name(poses: Sequence[RobotPose]) -> dict[str, RobotPose]:
 
 def load_poses(path: Path) -> list[RobotPose]:
     """Return the robot poses of a CSV file.  Raises CalibrationError that names file, line and column."""
-    try:
-        with path.open("rb") as stream:
-            raw = stream.read(MAX_BYTES + 1)
-        text = raw.decode("utf-8-sig")
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise CalibrationError(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8") from error
-    if len(raw) > MAX_BYTES:
-        raise CalibrationError(f"{path}: is larger than {MAX_BYTES} bytes, which no list of poses is")
-    numbered = [
-        (n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip() and not line.lstrip().startswith("#")
-    ]
-    if not numbered or len(numbered) > MAX_POSES + 1:
-        raise CalibrationError(f"{path}: holds {len(numbered)} lines; a header and 3 to {MAX_POSES} poses are needed")
-    delimiter = max(",;\t", key=numbered[0][1].count)
-    try:
-        rows = [next(csv.reader(io.StringIO(line), delimiter=delimiter, strict=True)) for _, line in numbered]
-    except csv.Error as error:
-        raise CalibrationError(f"{path}: is not CSV: {error}") from error
-    header = [name.strip().lower() for name in rows[0]]
-    if header != ["image", "x", "y", "z", "a", "b", "c"]:
-        raise CalibrationError(
-            f"{path}: the header is {','.join(rows[0])[:200]!r}; it must be image,X,Y,Z,A,B,C (mm, and degrees with"
-            " R = Rz(A)·Ry(B)·Rx(C))"
-        )
-    return [_pose(row, f"{path}: line {number}") for (number, _), row in zip(numbered[1:], rows[1:], strict=True)]
-
-
-def _pose(row: Sequence[str], where: str) -> RobotPose:
-    if len(row) != 7:
-        raise CalibrationError(f"{where} has {len(row)} values; image,X,Y,Z,A,B,C are 7")
-    values: list[float] = []
-    for key, text in zip("XYZABC", row[1:], strict=True):
-        limit = MAX_MM if key in "XYZ" else MAX_DEG
-        try:
-            value = float(text.strip())
-        except ValueError:
-            value = np.nan
-        if not abs(value) <= limit:
-            raise CalibrationError(f"{where}: {key} = {text.strip()[:40]!r} is not a number within ±{limit:g}")
-        values.append(value)
-    x, y, z, a, b, c = values
-    return RobotPose(row[0].strip(), (x, y, z, a, b, c))
+    _, rows = read_rows(path, "image,X,Y,Z,A,B,C")
+    poses: list[RobotPose] = []
+    for row in rows:
+        x, y, z = (row.number(column, MAX_MM) for column in "XYZ")
+        a, b, c = (row.number(column, MAX_DEG) for column in "ABC")
+        poses.append(RobotPose(row.text("image"), (x, y, z, a, b, c)))
+    return poses
