@@ -27,6 +27,7 @@ from slabcell.cell.eyes import Eyes, HouseEyes
 from slabcell.cell.handover import Handover
 from slabcell.cell.ledger import Ledger
 from slabcell.cell.looking import Looking
+from slabcell.cell.planning import Planner
 from slabcell.cell.records import Job, JobState
 from slabcell.cell.reply import Reply, refusal, to_answer
 from slabcell.cell.settings import CellSettings
@@ -75,8 +76,7 @@ class Cell:
             camera,
             calibration,
             eyes=eyes or HouseEyes(calibration, recipe),
-            arm=arm,
-            thickness_mm=recipe.thickness_mm,
+            planner=Planner(recipe, settings, arm),
             settings=settings,
             emit=self._emit,
             clock=clock,

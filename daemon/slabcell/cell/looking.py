@@ -16,7 +16,7 @@ from slabcell.cell.desk import Slots
 from slabcell.cell.events import CycleRecord, Event, FrameTaken, PartsLocated, StageEnded
 from slabcell.cell.executor import end_executor
 from slabcell.cell.eyes import Eyes
-from slabcell.cell.planning import Plan, plan
+from slabcell.cell.planning import Plan, Planner
 from slabcell.cell.records import PlacementRecord
 from slabcell.cell.settings import CellSettings
 from slabcell.errors import CalibrationError, ImageError, SlabcellError
@@ -30,7 +30,6 @@ from slabcell_drivers.camera.protocol import (
     CameraTimeout,
     ImageFrame,
 )
-from slabcell_drivers.robot.arm import ArmModel
 
 __all__ = ["CAMERA_FAULTS", "LookError", "Looking"]
 
@@ -65,17 +64,15 @@ class Looking:
         calibration: Calibration,
         *,
         eyes: Eyes,
-        arm: ArmModel,
-        thickness_mm: float,
+        planner: Planner,
         settings: CellSettings,
         emit: Callable[[Event], None],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._camera = camera
         self._calibration = calibration
-        self._thickness_mm = thickness_mm
         self._eyes = eyes
-        self._arm = arm
+        self._planner = planner
         self._settings = settings
         self._emit = emit
         self._clock = clock
@@ -119,7 +116,7 @@ class Looking:
                 self._emit(StageEnded(stage, duration_ms))
         self._emit(PartsLocated(result))
         with self._stage(cycle, "plan"):
-            outcome = await self._compute(lambda: plan(result.parts, self._thickness_mm, self._settings, self._arm))
+            outcome = await self._compute(lambda: self._planner.plan(result.parts, laid=slots.laid))
         cycle.refused = outcome.refused
         return outcome
 

@@ -18,14 +18,17 @@ class CellSettings:
     """The cell as it is built.
 
     ``pick_base`` (the table frame) and ``place_base`` (the assembly frame) lie in the robot's root frame, ``tool`` is
-    the tool centre point in the flange's frame.  ``pick_area`` is in table coordinates: outside of it nothing is
-    picked.  A pose is approached and left straight from ``approach_mm`` above.
+    the tool centre point in the flange's frame.  ``pick_area`` and the ``forbidden`` zones are in table coordinates:
+    outside of the one nothing is picked, into the others neither tool nor slab is lowered.  A pose is approached and
+    left straight from ``approach_mm`` above.
     """
 
     pick_base: Frame
     place_base: Frame
     tool: Frame
     pick_area: Polygon
+    forbidden: tuple[Polygon, ...] = ()
+    gripper_radius_mm: float = 10.0
     approach_mm: float = 80.0
     tolerance_mm: float = 0.5
     tolerance_deg: float = 0.5

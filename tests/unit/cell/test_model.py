@@ -299,8 +299,8 @@ def test_no_order_of_mishaps_lays_a_slab_twice_or_loses_one(make_bench):
     run_state_machine_as_test(
         lambda: CellUnderFaults(make_bench),
         settings=settings(
-            max_examples=15,
-            stateful_step_count=30,
+            max_examples=8,
+            stateful_step_count=25,
             deadline=None,
             suppress_health_check=list(HealthCheck),
             print_blob=True,

@@ -1,13 +1,18 @@
 """Does planning hand out only poses that the arm reaches, and say why not?"""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from slabcell.catalogue import Fault
-from slabcell.cell.planning import plan
+from slabcell.cell.planning import Planner
+from slabcell.cell.records import Pair
 from slabcell.cell.settings import CellSettings
 from slabcell.errors import ConfigurationError
-from slabcell.geometry import PlanarPose, Polygon, RigidTransform2D
+from slabcell.geometry import PlanarPose, Polygon, RigidTransform2D, normalize_deg
+from slabcell.recipe import Recipe
+from slabcell.template import Template
 from slabcell.vision.result import ImagePose, LocatedPart, Sigma
 from slabcell_drivers.robot.arm import KR3_R540
 from slabcell_drivers.robot.frame import Frame
@@ -18,49 +23,120 @@ WIDE = Polygon.from_points([(-2000, -2000), (2000, -2000), (2000, 2000), (-2000,
 SETTINGS = CellSettings(Frame(200, -200), Frame(220, 100, 0, 5), Frame(z_mm=260), WIDE)
 
 
-def part(slot: int = 0, pick: tuple[float, float, float] = (50, 40, 0), place: tuple[float, float] = (20, 20)):
+def square(x: float, y: float, side: float = 30.0) -> Polygon:
+    return Polygon.from_points([(x, y), (x + side, y), (x + side, y + side), (x, y + side)])
+
+
+def part(slot: int = 0, pick=(50.0, 40.0, 0.0), place=(15.0, 15.0), order: int = 1):
     return LocatedPart(
-        *(slot, 0.9, 0.1, 1, ImagePose(0, 0, 0), RigidTransform2D(0, 0, 0)),
+        *(slot, 0.9, 0.1, order, ImagePose(0, 0, 0), RigidTransform2D(0, 0, 0)),
         *(PlanarPose(*pick), PlanarPose(*place, 0.0), Sigma(0, 0, 0), np.zeros((0, 2))),
     )
 
 
+def plan(parts, settings=SETTINGS, *, slots=None, laid=(), thickness_mm=10.0):
+    slots = slots or [square(100.0 * index, 0) for index in range(1 + max(item.slot for item in parts))]
+    recipe = Recipe.from_template(Template("squares", tuple(slots), "0" * 64), thickness_mm)
+    return Planner(recipe, settings, KR3_R540).plan(parts, laid=laid)
+
+
+def flange(settings, base, pose, lift_mm=0.0):
+    above = Frame(*pose.as_tuple()[:2], pose.z_mm + lift_mm, *pose.as_tuple()[3:])
+    return base @ above @ settings.tool.inverse()
+
+
+def scattered(number: int, seed: int = 3):
+    rng = np.random.default_rng(seed)
+    return [part(i, tuple(rng.uniform(-100, 300, 3)), tuple(rng.uniform(-100, 300, 2))) for i in range(number)]
+
+
 def test_both_poses_keep_the_rotation_that_the_part_needs():
-    (pair,) = plan([part(pick=(50, 40, 37.0))], 12.0, SETTINGS, KR3_R540).pairs
+    (pair,) = plan([part(pick=(50, 40, 37.0))], thickness_mm=12.0).pairs
     assert (pair.place.a_deg - pair.pick.a_deg + 37.0) % 360 == pytest.approx(0, abs=1e-9)
     assert (pair.pick.z_mm, pair.place.z_mm) == (12.0, 12.0)
     assert pair.pick.as_tuple()[4:] == pair.place.as_tuple()[4:] == (0.0, 180.0)
 
 
-def test_the_arm_reaches_every_planned_pose_with_the_tool_and_from_above():
-    rng = np.random.default_rng(3)
-    parts = [part(i, tuple(rng.uniform(-100, 300, 3)), tuple(rng.uniform(-100, 300, 2))) for i in range(60)]
-    outcome = plan(parts, 10.0, SETTINGS, KR3_R540)
+@pytest.mark.parametrize(
+    "tool", [Frame(z_mm=260), Frame(z_mm=260, a_deg=40), Frame(15, 0, 240), Frame(0, 0, 250, 0, 5)]
+)
+def test_the_arm_reaches_every_planned_pose_from_above_in_one_configuration(tool):
+    settings = replace(SETTINGS, tool=tool)
+    outcome = plan(scattered(40), settings)
     assert outcome.pairs
     assert outcome.refused
-    assert sorted([p.slot for p in outcome.pairs] + [r.slot for r in outcome.refused]) == list(range(60))
+    assert sorted([p.slot for p in outcome.pairs] + [r.slot for r in outcome.refused]) == list(range(40))
     for pair in outcome.pairs:
-        for base, pose in ((SETTINGS.pick_base, pair.pick), (SETTINGS.place_base, pair.place)):
-            for lift in (0.0, SETTINGS.approach_mm):
-                above = Frame(*pose.as_tuple()[:2], pose.z_mm + lift, *pose.as_tuple()[3:])
-                axes = KR3_R540.inverse(base @ above @ SETTINGS.tool.inverse())
-                tcp = KR3_R540.forward(axes) @ SETTINGS.tool
-                assert np.allclose(tcp.matrix, (base @ above).matrix, atol=1e-6)
+        for base, pose in ((settings.pick_base, pair.pick), (settings.place_base, pair.place)):
+            above = KR3_R540.inverse(flange(settings, base, pose, settings.approach_mm))
+            at = KR3_R540.inverse(flange(settings, base, pose), near=above, status=KR3_R540.status_turn(above)[0])
+            assert np.allclose((KR3_R540.forward(at) @ tool).matrix, (base @ pose).matrix, atol=1e-6)
+
+
+def wrist_travel(settings, pairs):
+    """Follow the arm through all poses; return how far A6 has turned."""
+    axes, travel = None, 0.0
+    for pair in pairs:
+        for base, pose in ((settings.pick_base, pair.pick), (settings.place_base, pair.place)):
+            options = KR3_R540.all_solutions(flange(settings, base, pose))
+            options = [o for o in options if KR3_R540.status_turn(o)[0] == 2]
+            after = min(options, key=lambda o: abs(o[5] - axes[5]) if axes else abs(o[5]))
+            travel += abs(after[5] - axes[5]) if axes else 0.0
+            axes = after
+    return travel
+
+
+def test_the_wrist_turns_less_than_with_the_tool_along_the_part():
+    parts = scattered(30)
+    planned = plan(parts).pairs
+    by_slot = {item.slot: item for item in parts}
+    plain = [
+        Pair(
+            pair.slot,
+            Frame(
+                by_slot[pair.slot].pick.x_mm, by_slot[pair.slot].pick.y_mm, 10, by_slot[pair.slot].pick.a_deg, 0, 180
+            ),
+            Frame(by_slot[pair.slot].place.x_mm, by_slot[pair.slot].place.y_mm, 10, 0, 0, 180),
+            0.9,
+        )
+        for pair in planned
+    ]
+    assert wrist_travel(SETTINGS, planned) < 0.7 * wrist_travel(SETTINGS, plain)
+
+
+def test_a_part_that_looks_alike_after_a_turn_is_laid_as_it_lies():
+    slot = square(0, 0)
+    one_way = plan([part(pick=(50, 40, 170), place=(10.0, 12.0))], slots=[slot]).pairs[0]
+    any_way = plan([part(pick=(50, 40, 170), place=(10.0, 12.0), order=4)], slots=[slot]).pairs[0]
+    assert wrist_travel(SETTINGS, [any_way]) < wrist_travel(SETTINGS, [one_way])
+    # The slab covers the same place whichever way it is laid: its motion takes the slot onto itself.
+    turn = normalize_deg(any_way.place.a_deg - any_way.pick.a_deg + 170)
+    motion = RigidTransform2D(turn, 0, 0)
+    x, y = np.array([any_way.place.x_mm, any_way.place.y_mm]) - motion.apply(np.array([10.0, 12.0]))
+    moved = slot.transformed(RigidTransform2D(turn, x, y))
+    assert moved.shape.symmetric_difference(slot.shape).area < 1e-6
 
 
 @pytest.mark.parametrize(("pick", "place"), [((900, 0, 0), (20, 20)), ((50, 40, 0), (900, 0))])
 def test_what_is_out_of_reach_is_refused_with_the_distance(pick, place):
-    (refused,) = plan([part(pick=pick, place=place)], 10.0, SETTINGS, KR3_R540).refused
+    (refused,) = plan([part(pick=pick, place=place)]).refused
     assert refused.fault is Fault.UNREACHABLE
     assert "mm from the A2 axis" in refused.detail
 
 
 def test_a_grasp_point_outside_of_the_pick_area_is_refused():
     small = Polygon.from_points([(0, 0), (10, 0), (10, 10), (0, 10)])
-    settings = CellSettings(SETTINGS.pick_base, SETTINGS.place_base, SETTINGS.tool, small)
-    (refused,) = plan([part()], 10.0, settings, KR3_R540).refused
+    (refused,) = plan([part()], replace(SETTINGS, pick_area=small)).refused
     assert refused.fault is Fault.OUTSIDE_WORKSPACE
     assert "X 50.0 Y 40.0" in refused.detail
+
+
+def test_neither_tool_nor_slab_is_lowered_into_a_forbidden_zone():
+    at_pick, at_place = square(55, 30, 5), square(20, 325, 5)
+    (refused,) = plan([part()], replace(SETTINGS, forbidden=(at_pick,))).refused
+    assert (refused.fault, "forbidden zone 1" in refused.detail) == (Fault.OUTSIDE_WORKSPACE, True)
+    (refused,) = plan([part()], replace(SETTINGS, forbidden=(square(900, 900), at_place))).refused
+    assert (refused.fault, "forbidden zone 2" in refused.detail) == (Fault.COLLISION, True)
 
 
 def test_the_assembly_in_the_table_follows_from_both_bases():
