@@ -11,10 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
+from slabcell_drivers.krc.motion_check import PoseFollower, between, followed, steps_for
+from slabcell_drivers.krc.motion_error import MotionError, as_motion_error
 from slabcell_drivers.krc.motion_path import Arc, Line, OrientedPath, PosePath, flange_of
 from slabcell_drivers.krc.motion_profile import Trapezoid
-from slabcell_drivers.krc.unconfirmed import SINGULAR_A5_DEG, MotionMessage
-from slabcell_drivers.robot.arm import ArmError, ArmFault, ArmModel, Axes
+from slabcell_drivers.krc.unconfirmed import MotionMessage
+from slabcell_drivers.robot.arm import ArmError, ArmModel, Axes
 from slabcell_drivers.robot.arm_solve import Pose, pose_of_frame
 from slabcell_drivers.robot.frame import Frame
 
@@ -33,20 +35,7 @@ __all__ = [
 ]
 
 INTERPOLATION_TICK_S = 0.012
-CHECK_EVERY_MM = 1.0
-CHECK_EVERY_DEG = 0.5
-AXIS_SPEED_TOLERANCE = 1.02  # a finite difference over one check step is not exact
 NULL_TOOL = Frame()
-
-
-class MotionError(Exception):
-    """A move that the controller would refuse or stop: ``number`` and ``text`` of its message."""
-
-    def __init__(self, message: MotionMessage, text: str) -> None:
-        super().__init__(text)
-        self.number = int(message)
-        self.message = message
-        self.text = text
 
 
 class MotionKind(StrEnum):
@@ -192,6 +181,8 @@ def plan_path(
 ) -> Trajectory:
     """Return the move of the tool centre point along any path, checked along all of it.  Raises MotionError."""
     profile = _path_profile(path.length_mm, path.angle_deg, limits)
+    if profile.duration_s == 0.0:  # there already: no rounding may make a motion of it
+        return Trajectory(arm, kind, start, start, 0.0, lambda _: start, tool=tool)
     tool_inverse = pose_of_frame(tool.inverse())
 
     def flange_at(fraction: float) -> Pose:
@@ -201,21 +192,21 @@ def plan_path(
         arm.inverse(flange_at(1.0), near=start)
     except ArmError as error:
         raise as_motion_error(error) from error
-    tracker = _Tracker(arm, start)
-    samples: list[Axes] = [start]
-    ticks = profile.duration_s / INTERPOLATION_TICK_S
-    steps = max(1, round(min(ticks, max(path.length_mm / CHECK_EVERY_MM, path.angle_deg / CHECK_EVERY_DEG))))
-    for step in range(1, steps + 1):
-        time_s = profile.duration_s * step / steps
-        samples.append(tracker.follow(flange_at(profile.position(time_s)), time_s, last=step == steps))
+    steps = steps_for(profile.duration_s, path.length_mm, path.angle_deg)
+    follower = PoseFollower(arm, start, lambda time_s: flange_at(profile.position(time_s)))
+    samples = followed(arm, start, profile.duration_s, steps, follower)
 
     def axes_at(time_s: float) -> Axes:
         if time_s <= 0.0:
             return start
         if time_s >= profile.duration_s:
             return samples[-1]
-        nearest = samples[round(time_s / profile.duration_s * steps)]
-        return arm.inverse(flange_at(profile.position(time_s)), near=nearest)
+        share = time_s / profile.duration_s
+        near = between(samples, share)
+        try:
+            return arm.inverse(flange_at(profile.position(time_s)), near=near)
+        except ArmError:  # grazes a limit between two checked points: the straight way between them is inside
+            return near
 
     marks_s = tuple(profile.time_at(fraction) for fraction in path.marks)
     return Trajectory(arm, kind, start, samples[-1], profile.duration_s, axes_at, profile.ramp_s, tool, marks_s)
@@ -244,85 +235,6 @@ def _path_profile(length_mm: float, angle_deg: float, limits: PathLimits) -> Tra
     return Trapezoid.fastest(1.0, min(speeds), min(accelerations))
 
 
-class _Tracker:
-    """Follows a path with the axes, step by step, and refuses what the arm cannot do."""
-
-    def __init__(self, arm: ArmModel, start: Axes) -> None:
-        self._arm = arm
-        self._axes = start
-        self._time_s = 0.0
-        # a path that begins in the wrist singularity has no status yet: the first step out of it decides
-        self._status = None if abs(start[4]) < SINGULAR_A5_DEG else arm.status_turn(start)[0]
-
-    def follow(self, flange: Pose, time_s: float, *, last: bool) -> Axes:
-        arm, before = self._arm, self._axes
-        try:
-            axes = arm.inverse(flange, near=before, status=self._status)
-        except ArmError as error:
-            axes = self._at_singular_end(flange, error) if last else None
-            if axes is None:
-                self._refuse_singular(flange)
-                raise as_motion_error(error) from error
-        singular = abs(axes[4]) < SINGULAR_A5_DEG
-        if singular and self._status is not None and not last:
-            self._raise_singular(axes[4])
-        if self._status is None and not singular:
-            self._status = arm.status_turn(axes)[0]
-        self._check_speed(axes, time_s - self._time_s)
-        self._axes, self._time_s = axes, time_s
-        return axes
-
-    def _at_singular_end(self, flange: Pose, error: ArmError) -> Axes | None:
-        """Return the axes at a last point with A5 at zero, where the status is one or the other by rounding."""
-        if error.fault is ArmFault.AXIS_LIMIT:
-            return None
-        nearest = [a for a in self._arm.all_solutions(flange, near=self._axes) if abs(a[4]) < SINGULAR_A5_DEG]
-        return nearest[0] if nearest else None
-
-    def _refuse_singular(self, flange: Pose) -> None:
-        """Raise the message for a singularity if A5 would have to change its sign to go on."""
-        others = self._arm.all_solutions(flange, near=self._axes)
-        if others and (others[0][4] < 0.0) != (self._axes[4] < 0.0):
-            self._raise_singular(others[0][4])
-
-    def _raise_singular(self, a5_deg: float) -> None:
-        text = f"Singularity: A5 at {a5_deg:.3f}° on the path, the wrist would have to turn over; use PTP here"
-        raise MotionError(MotionMessage.SINGULARITY, text)
-
-    def _raise_limit(self, i: int, value_deg: float) -> None:
-        arm = self._arm
-        limit_deg = arm.axis_max_deg[i] if value_deg > 0.0 else arm.axis_min_deg[i]
-        sign = "+" if value_deg > 0.0 else "-"
-        text = (
-            f"Software limit switch {sign}A{i + 1}: {value_deg:.3f}° on the path, beyond its limit {limit_deg:.3f}°, "
-            "turn it back before"
-        )
-        raise MotionError(MotionMessage.AXIS_LIMIT, text)
-
-    def _check_speed(self, axes: Axes, step_s: float) -> None:
-        for i in range(6):
-            moved = abs(axes[i] - self._axes[i])
-            allowed = self._arm.axis_speed_deg_s[i]
-            if moved > 180.0:  # the path goes on beyond a limit, and a whole turn back would be needed
-                self._raise_limit(i, axes[i] + (360.0 if self._axes[i] > axes[i] else -360.0))
-            if moved > allowed * step_s * AXIS_SPEED_TOLERANCE + 1e-6:
-                if abs(axes[4]) < 1.0 and i in (3, 5):
-                    self._raise_singular(axes[4])
-                text = (
-                    f"Command velocity exceeded A{i + 1}: {moved / step_s:.0f}°/s on the path, "
-                    f"{allowed:.0f}°/s allowed; reduce $VEL.CP or use PTP"
-                )
-                raise MotionError(MotionMessage.AXIS_SPEED, text)
-
-
 def _check_percent(name: str, percent: float) -> None:
     if not 0.0 < percent <= 100.0:
         raise MotionError(MotionMessage.VALUE, f"{name} of {percent:g} % is not in 0 to 100 %")
-
-
-def as_motion_error(error: ArmError) -> MotionError:
-    """Return the controller message for a pose that the arm cannot take."""
-    if error.fault is ArmFault.AXIS_LIMIT and error.axis is not None and error.limit_deg is not None:
-        sign = "+" if error.limit_deg > 0 else "-"
-        return MotionError(MotionMessage.AXIS_LIMIT, f"Software limit switch {sign}A{error.axis}: {error}")
-    return MotionError(MotionMessage.UNREACHABLE, f"Work envelope exceeded: {error}")

@@ -140,10 +140,13 @@ def solve(
     return found
 
 
-def solve_main_axes(dimensions: Dimensions, wrist_deg: Vector, tcp_in_flange: Vector, position: Vector) -> list[Vector]:
+def solve_main_axes(
+    dimensions: Dimensions, wrist_deg: Vector, tcp_in_flange: Vector, position: Vector
+) -> list[tuple[int, Vector]]:
     """Return up to four A1, A2, A3 (degrees) that bring a point of the tool there while A4 to A6 are given.
 
-    ``tcp_in_flange`` is that point in the flange, ``position`` where it shall be in the root frame, both in mm.
+    Each comes with the side it is on: bit 0 for the point behind the A1 axis, bit 1 of the elbow.  ``tcp_in_flange`` is
+    that point in the flange, ``position`` where it shall be in the root frame, both in mm.
     """
     d = dimensions
     a4, a5, a6 = (math.radians(angle) for angle in wrist_deg)
@@ -157,11 +160,11 @@ def solve_main_axes(dimensions: Dimensions, wrist_deg: Vector, tcp_in_flange: Ve
     if square < 0.0:
         return []
     reach = Dimensions(d.base_height_mm, d.shoulder_mm, d.upper_arm_mm, vx, vz, d.flange_mm)
-    found: list[Vector] = []
-    for forward in (math.sqrt(square), -math.sqrt(square)):
+    found: list[tuple[int, Vector]] = []
+    for behind, forward in ((0, math.sqrt(square)), (1, -math.sqrt(square))):
         a1 = math.atan2(vy, forward) - math.atan2(position[1], position[0])
-        for _, a2, a3 in _arm(reach, forward - d.shoulder_mm, position[2] - d.base_height_mm):
-            found.append((_deg(a1), _deg(a2), _deg(a3)))
+        for elbow, a2, a3 in _arm(reach, forward - d.shoulder_mm, position[2] - d.base_height_mm):
+            found.append((behind | elbow, (_deg(a1), _deg(a2), _deg(a3))))
     return found
 
 
