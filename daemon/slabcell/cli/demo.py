@@ -51,7 +51,7 @@ class _Display:
 
 def demo_command(
     scene: Annotated[
-        str, typer.Option("--scene", metavar="NAME", help="Scene: dresden, irregular, or a scene file of your own.")
+        str, typer.Option("--scene", metavar="NAME", help="Scene: dresden, irregular, stones, or a scene file of your own.")
     ] = "dresden",
     seed: Annotated[
         int, typer.Option("--seed", min=0, max=2**31 - 1, help="How the slabs are strewn, and the noise.")
