@@ -344,7 +344,7 @@ async def test_without_a_cell_the_program_says_so_and_stops():
         krc.set_data("VT", "VT_OPENTRIES", 3)
         result = await run(krc)
         assert result.status == "halted"
-        assert krc.messages[-1].text == "The cell PC does not answer: check cable, IP, port and its service"
+        assert krc.messages[-1].text == "2001 Cell PC does not answer. Check cable, IP and service."
 
 
 async def test_an_old_result_is_refused_by_the_robot_itself():
@@ -355,7 +355,7 @@ async def test_an_old_result_is_refused_by_the_robot_itself():
             krc.set_data("VT", "VT_LASTSTATE", int(AckState.PLACED))
             result = await run(krc)
             assert result.status == "halted"
-            assert krc.messages[-1].text == "Result refused: it is old. See VT_LASTRES in VT.dat"
+            assert krc.messages[-1].text == "2002 Result refused by the robot: it is an old one."
     assert table.picks == []
 
 
@@ -368,7 +368,7 @@ async def test_a_part_that_the_cell_does_not_know_is_taken_off_by_a_person():
             krc.set_input(1, True)
             result = await run(krc)
             assert result.status == "halted"
-            assert krc.messages[-1].text == "Hold the slab under the gripper, press START, and take it away"
+            assert krc.messages[-1].text == "2005 Hold the slab, press START, and take it away."
             assert cell.requests[-1].type is RequestType.HELLO
             krc.set_input(1, False)
             table.held = None
@@ -396,4 +396,4 @@ async def test_a_cell_of_another_version_is_named():
         with controller(table, link.address, sources=sources) as krc:
             result = await run(krc)
             assert result.status == "halted"
-            assert krc.messages[-1].text == "The cell speaks another version: install matching programs"
+            assert krc.messages[-1].text == "2003 Cell speaks another version. Install its programs."

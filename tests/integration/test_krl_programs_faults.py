@@ -23,6 +23,8 @@ import numpy as np
 import pytest
 
 from slabcell.calibration.model import Calibration, CameraIdentity, Lens, TablePlane
+from slabcell.catalogue import Fault as CellFault
+from slabcell.catalogue import entry
 from slabcell.cell.cell import Cell
 from slabcell.cell.ledger import Ledger, LedgerFile
 from slabcell.cell.records import OfferRecord, OfferState, PlacementRecord
@@ -301,7 +303,7 @@ class Run:
         with krc:
             for _ in range(MAX_LIVES):
                 result = krc.run("SlabCell", max_wall_s=MAX_WALL_S)
-                while result.status == "halted" and "under the gripper" in krc.messages[-1].text:
+                while result.status == "halted" and "Hold the slab" in krc.messages[-1].text:
                     result = krc.go_on(max_wall_s=MAX_WALL_S)
                 if result.status not in {"cancelled", "power_lost"}:
                     break
@@ -321,7 +323,7 @@ class Run:
             self.table.let_go(self.table.krc.tcp)
 
 
-NAMED = ("The cell PC does not answer", "Result refused", "The gripper does not release", "The cell speaks another")
+CATALOGUE_TEXTS = {entry(fault).robot for fault in CellFault}
 
 
 def judge(outcome):
@@ -362,7 +364,7 @@ def judge(outcome):
             wrong.append(f"the program ended, but the job is {outcome.job_state}")
     elif outcome.ended == "halted":
         last = outcome.messages[-1] if outcome.messages else ""
-        if not last.startswith(NAMED) and not last[:4].isdigit():
+        if last not in CATALOGUE_TEXTS:
             wrong.append(f"stopped without a named error: {last!r}")
     else:
         wrong.append(f"ended as {outcome.ended}: {outcome.messages[-3:]}")
@@ -386,7 +388,7 @@ def outcome_with(**changes):
     table.slabs[0] = tool_down(PLACE_BASE, slot_pose(0))
     table.grips = [(0, False)]
     offer = OfferRecord(1, 1, 1, 0, 0, OfferState.PLACED, 1.0, Frame(), Frame(), "")
-    return dataclasses.replace(Outcome("halted", ["1605 Slab lost."], table, [offer], "open"), **changes)
+    return dataclasses.replace(Outcome("halted", [entry(CellFault.PART_LOST).robot], table, [offer], "open"), **changes)
 
 
 def test_the_judge_sees_a_slab_that_is_lost_laid_twice_or_not_where_the_ledger_says():

@@ -31,9 +31,9 @@ _CODES = {
 _OWN_ERRORS = {
     "ELINK": (-1, "the link is lost"),
     "ETIMEOUT": (-2, "no answer in time"),
-    "EVERSION": (-3, "the cell speaks another version"),
-    "ESTALE": (-4, "the cell offered an old result"),
-    "ENOCELL": (-5, "no connection after all tries"),
+    "ENOCELL": (2001, "no connection after all tries"),
+    "ESTALE": (2002, "the cell offered an old result"),
+    "EVERSION": (2003, "the cell speaks another version"),
 }
 
 
@@ -52,7 +52,7 @@ def constants_fold(channel: Channel) -> str:
     lines += [_constant(name, state) for state, name in _STATES.items()]
     lines.append("; Codes of an answer; from 1000 on: error numbers of the cell")
     lines += [_constant(name, code) for code, name in _CODES.items()]
-    lines.append("; Codes of errors that are found here")
+    lines.append("; Codes of errors that are found here; from 2000 on with a text in VT_MSG[]")
     lines += [_constant(name, value, why) for name, (value, why) in _OWN_ERRORS.items()]
     lines.append("; One answer; its text is in VT_MSG[]")
     lines += [_structure(), FOLD_END]
