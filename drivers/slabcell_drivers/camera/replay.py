@@ -15,7 +15,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from slabcell_drivers.camera.protocol import (
     CameraConfigError,
@@ -25,6 +24,7 @@ from slabcell_drivers.camera.protocol import (
     CameraState,
     CameraTimeout,
     ImageFrame,
+    Pixels,
 )
 
 __all__ = ["ReplayCamera", "ReplayMode"]
@@ -34,8 +34,6 @@ BUNDLE_SUFFIX = ".zip"
 BUNDLE_MEMBER = "frame.png"
 MAX_FILE_BYTES = 512 << 20
 MAX_FILES = 100_000
-
-Pixels = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 
 
 class ReplayMode(StrEnum):
@@ -158,7 +156,7 @@ def _list(source: Path | Sequence[Path]) -> tuple[Path, ...]:
 
 
 def _read(file: Path) -> Pixels:
-    """Return the pixels of a file: (h, w) uint8 or uint16, or (h, w, 3) uint8 in BGR order."""
+    """Return the pixels of a file: (h, w) uint8 or uint16, or (h, w, 3) in BGR order."""
     try:
         size = file.stat().st_size
         if size > MAX_FILE_BYTES:
@@ -179,8 +177,6 @@ def _read(file: Path) -> Pixels:
     if image is None or image.size == 0:
         msg = f"{file}: is not a picture that can be decoded"
         raise CameraIncomplete(msg)
-    if image.ndim == 3 and image.dtype == np.uint16:
-        return np.asarray(cv2.convertScaleAbs(image, alpha=1 / 257), np.uint8)
     if image.dtype == np.uint16:
         return np.asarray(image, np.uint16)
     if image.dtype != np.uint8:
@@ -205,5 +201,5 @@ def _from_bundle(file: Path) -> bytes:
 
 def _format(pixels: Pixels) -> str:
     if pixels.ndim == 3:
-        return "BGR8"
+        return "BGR16" if pixels.dtype == np.uint16 else "BGR8"
     return "Mono16" if pixels.dtype == np.uint16 else "Mono8"

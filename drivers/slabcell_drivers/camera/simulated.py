@@ -23,11 +23,11 @@ from slabcell_drivers.camera.protocol import (
     CameraState,
     CameraTimeout,
     ImageFrame,
+    Pixels,
 )
 
 __all__ = ["CameraFault", "Render", "SimulatedCamera"]
 
-Pixels = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 Render = Callable[[int], Pixels]
 """Returns what the camera sees now; it is given the number of the frame and runs on a worker thread."""
 

@@ -4,9 +4,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from slabcell_drivers.camera.protocol import Pixels
 from slabcell_drivers.robot.frame import Frame
 from slabcell_drivers.simulation.exposure import FINE, add_blurred, cover_fine, fine_window
-from slabcell_drivers.simulation.formats import Pixels, digitise
+from slabcell_drivers.simulation.formats import digitise
 from slabcell_drivers.simulation.projection import Projector
 from slabcell_drivers.simulation.rendering import bare_table
 from slabcell_drivers.simulation.scene import BoardSpec, CameraSpec, Optics, Scene

@@ -3,13 +3,13 @@
 import numpy as np
 import numpy.typing as npt
 
+from slabcell_drivers.camera.protocol import Pixels
 from slabcell_drivers.simulation.scene import Optics
 from slabcell_drivers.simulation.surfaces import sensor_noise
 
-__all__ = ["Pixels", "digitise"]
+__all__ = ["digitise"]
 
 Field = npt.NDArray[np.float32]
-Pixels = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 
 
 def digitise(image: Field, optics: Optics, seed: tuple[int, ...], bits: int = 8) -> Pixels:

@@ -8,11 +8,12 @@ import numpy as np
 import numpy.typing as npt
 import shapely
 
+from slabcell_drivers.camera.protocol import Pixels
 from slabcell_drivers.robot.frame import Frame
 from slabcell_drivers.simulation.areas import Area
 from slabcell_drivers.simulation.coverage import Window, cover
 from slabcell_drivers.simulation.exposure import FINE, add_blurred, cover_fine, cover_part, fine_window
-from slabcell_drivers.simulation.formats import Pixels, digitise
+from slabcell_drivers.simulation.formats import digitise
 from slabcell_drivers.simulation.projection import Projector, rings
 from slabcell_drivers.simulation.scene import CameraSpec, Optics, TableSpec
 from slabcell_drivers.simulation.slab import Slab

@@ -57,15 +57,18 @@ async def test_given_files_come_in_the_given_order(folder: Path) -> None:
 async def test_sixteen_bits_and_colour_keep_their_values_and_say_their_format(tmp_path: Path) -> None:
     write(tmp_path, "1.png", np.full((4, 5), 40_000, np.uint16))
     write(tmp_path, "2.png", np.full((4, 5, 3), (10, 20, 30), np.uint8))
+    write(tmp_path, "3.tif", np.full((4, 5, 3), (1000, 2000, 3000), np.uint16))
     camera = ReplayCamera(tmp_path)
     info = await camera.open(1.0)
 
-    deep, colour = await camera.snap(1.0), await camera.snap(1.0)
+    deep, colour, both = [await camera.snap(1.0) for _ in range(3)]
 
     assert (info.pixel_format, deep.pixel_format, colour.pixel_format) == ("Mono16", "Mono16", "BGR8")
     assert deep.pixels.dtype == np.uint16
     assert deep.pixels[0, 0] == 40_000
     assert colour.pixels[0, 0].tolist() == [10, 20, 30]
+    assert both.pixel_format == "BGR16"
+    assert both.pixels[0, 0].tolist() == [1000, 2000, 3000]
 
 
 async def test_a_damaged_picture_is_an_error_by_name_and_the_next_one_comes_after_it(folder: Path) -> None:
