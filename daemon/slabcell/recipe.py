@@ -6,17 +6,28 @@ Unknown keys are errors that name the file, the key and the nearest known one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from slabcell.errors import RecipeError
 from slabcell.template import Template, load_template
 from slabcell.toml_file import TomlTable, read_toml
 
-__all__ = ["GraspParameters", "MatchingParameters", "Recipe", "RecipeFile", "SegmentationParameters", "load_recipe"]
+__all__ = [
+    "ForbiddenZone",
+    "GateParameters",
+    "GraspParameters",
+    "Mark",
+    "MatchingParameters",
+    "MorphologyStep",
+    "Recipe",
+    "RecipeFile",
+    "SegmentationParameters",
+    "load_recipe",
+]
 
 
 class TemplateReference(TomlTable):
@@ -26,10 +37,25 @@ class TemplateReference(TomlTable):
     thickness_mm: Annotated[float, Field(ge=0, le=500)] = Field(description="thickness of the slabs in mm")
 
 
+Point = tuple[float, float]
+Percent = Annotated[float, Field(ge=0, le=100)]
+
+
+class MorphologyStep(TomlTable):
+    """``[[segmentation.morphology]]``: one step on the mask of the slabs."""
+
+    operation: Literal["open", "close", "erode", "dilate", "fill"] = Field(
+        description="open takes specks away, close fills cracks, fill fills every hole"
+    )
+    size_px: Annotated[int, Field(ge=1, le=99)] = Field(
+        default=3, description="diameter of the round neighbourhood in pixels; fill does not use it"
+    )
+
+
 class SegmentationParameters(TomlTable):
     """``[segmentation]``: which pixels belong to slabs."""
 
-    method: Literal["auto", "fixed", "otsu", "local"] = Field(
+    method: Literal["auto", "fixed", "otsu", "dynamic_hard", "dynamic_soft", "local", "multi_otsu", "kmeans"] = Field(
         default="auto", description="auto chooses between otsu and local and says why"
     )
     polarity: Literal["auto", "light", "dark"] = Field(
@@ -38,8 +64,32 @@ class SegmentationParameters(TomlTable):
     threshold: Annotated[int, Field(ge=0, le=65535)] | None = Field(
         default=None, description="grey level between table and slab, for method fixed"
     )
-    roi: list[tuple[float, float]] | None = Field(
+    low_tail_percent: Percent = Field(
+        default=1.0, description="share of the darkest pixels that dynamic methods leave out of the range"
+    )
+    high_tail_percent: Percent = Field(
+        default=1.0, description="share of the lightest pixels that dynamic methods leave out of the range"
+    )
+    level_percent: Percent = Field(
+        default=50.0, description="where in the range between the tails the dynamic threshold lies"
+    )
+    softness_percent: Percent = Field(
+        default=40.0, description="width, in percent of the range, over which dynamic_soft goes from table to slab"
+    )
+    classes: Annotated[int, Field(ge=2, le=5)] = Field(
+        default=3, description="grey levels or colours that multi_otsu and kmeans tell apart"
+    )
+    slab_classes: Annotated[int, Field(ge=1, le=4)] = Field(
+        default=1, description="how many of the classes of multi_otsu, from the lightest or darkest, are slabs"
+    )
+    window_px: Annotated[int, Field(ge=0, le=10000)] = Field(
+        default=0, description="neighbourhood from which local takes the table's light; 0 chooses it from the picture"
+    )
+    roi: list[Point] | None = Field(
         default=None, min_length=3, max_length=100, description="region of interest: polygon in image pixels"
+    )
+    morphology: list[MorphologyStep] = Field(
+        default_factory=list[MorphologyStep], max_length=10, description="steps on the mask, in this order"
     )
     min_area_mm2: Annotated[float, Field(gt=0)] = Field(
         default=25.0, description="smaller blobs are dust and are left out"
@@ -48,27 +98,103 @@ class SegmentationParameters(TomlTable):
         default="reject", description="what to do with blobs that touch the picture's rim"
     )
 
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.method == "fixed" and self.threshold is None:
+            msg = "method 'fixed' needs the key 'threshold', a grey level"
+            raise ValueError(msg)
+        if self.low_tail_percent + self.high_tail_percent >= 100:
+            msg = "low_tail_percent and high_tail_percent leave no pixel: their sum must be under 100"
+            raise ValueError(msg)
+        if self.slab_classes >= self.classes:
+            msg = f"slab_classes = {self.slab_classes} leaves no class for the table: classes is {self.classes}"
+            raise ValueError(msg)
+        return self
+
 
 class MatchingParameters(TomlTable):
     """``[matching]``: which blob is which slot."""
 
+    method: Literal["registration", "hu", "polygon"] = Field(
+        default="registration",
+        description="registration compares whole outlines; hu and polygon compare as the literature does, for study",
+    )
     area_tolerance: Annotated[float, Field(gt=0, le=0.5)] = Field(
         default=0.12, description="relative difference of area above which a blob is not compared with a slot"
     )
     max_residual_mm: Annotated[float, Field(gt=0, le=50)] = Field(
         default=0.6, description="root mean square distance between outline and slot above which a blob is refused"
     )
+    min_coverage: Annotated[float, Field(ge=0.3, le=1)] = Field(
+        default=0.9, description="share of the outline that must be where the slot says, else the blob is refused"
+    )
     min_score: Annotated[float, Field(ge=0, le=1)] = Field(
         default=0.8, description="score below which a blob is refused"
     )
+    split_touching: bool = Field(
+        default=True, description="look for the slots' outlines inside of blobs that are larger than every slot"
+    )
+    max_hu_distance: Annotated[float, Field(gt=0)] = Field(
+        default=0.02, description="Euclidean distance of the seven Hu moments, for method hu"
+    )
+    polygon_epsilon_percent: Annotated[float, Field(ge=0.1, le=10)] = Field(
+        default=2.0, description="simplification of outlines in percent of the perimeter, for method polygon"
+    )
+    max_side_difference_mm: Annotated[float, Field(gt=0)] = Field(
+        default=3.0, description="difference of sorted side lengths, for method polygon"
+    )
+
+
+class ForbiddenZone(TomlTable):
+    """``[[grasp.forbidden]]``: where no cup may touch, in the template's coordinates."""
+
+    polygon: list[Point] = Field(min_length=3, max_length=200, description="corners in mm")
+    slot: Annotated[int, Field(ge=0)] | None = Field(default=None, description="slot it belongs to; none means every")
 
 
 class GraspParameters(TomlTable):
-    """``[grasp]``: where the suction cup may touch the slab."""
+    """``[grasp]``: where the suction cups may touch the slab."""
 
-    cup_radius_mm: Annotated[float, Field(ge=0, le=500)] = Field(default=4.0, description="radius of the suction cup")
+    cup_radius_mm: Annotated[float, Field(ge=0, le=500)] = Field(default=4.0, description="radius of a suction cup")
     margin_mm: Annotated[float, Field(ge=0, le=100)] = Field(
         default=1.0, description="distance kept between cup and outline"
+    )
+    cups_mm: list[Point] = Field(
+        default_factory=lambda: [(0.0, 0.0)],
+        min_length=1,
+        max_length=32,
+        description="centres of the cups in the tool's X and Y, for grippers of several cups",
+    )
+    forbidden: list[ForbiddenZone] = Field(
+        default_factory=list[ForbiddenZone], max_length=100, description="zones that no cup may touch"
+    )
+
+
+class Mark(TomlTable):
+    """``[[gates.marks]]``: a round mark on the table that must be seen where it is."""
+
+    x_mm: float = Field(description="centre on the table")
+    y_mm: float = Field(description="centre on the table")
+    diameter_mm: Annotated[float, Field(gt=0, le=1000)] = Field(description="of the disc")
+
+
+class GateParameters(TomlTable):
+    """``[gates]``: what a picture must be like before anything is located in it."""
+
+    min_brightness_percent: Percent = Field(
+        default=2.0, description="grey that the lightest 0.5 % of the pixels must reach, of full scale"
+    )
+    max_overexposed_percent: Percent = Field(default=60.0, description="share of pixels that may be saturated")
+    max_blur_px: Annotated[float, Field(gt=0, le=100)] = Field(
+        default=6.0, description="width (standard deviation) of the sharpest edges of the picture"
+    )
+    rim_mm: list[Point] | None = Field(
+        default=None, min_length=3, max_length=100, description="outline on the table, z = 0, whose edge must be seen"
+    )
+    marks: list[Mark] = Field(default_factory=list[Mark], max_length=50, description="round marks on the table")
+    min_reference_percent: Percent = Field(default=60.0, description="share of rim and marks that must be seen")
+    max_reference_shift_mm: Annotated[float, Field(gt=0, le=100)] = Field(
+        default=1.0, description="how far rim and marks may be from their places before the camera counts as moved"
     )
 
 
@@ -79,6 +205,7 @@ class RecipeFile(TomlTable):
     segmentation: SegmentationParameters = SegmentationParameters()
     matching: MatchingParameters = MatchingParameters()
     grasp: GraspParameters = GraspParameters()
+    gates: GateParameters = GateParameters()
 
 
 @dataclass(frozen=True)
@@ -91,6 +218,7 @@ class Recipe:
     segmentation: SegmentationParameters
     matching: MatchingParameters
     grasp: GraspParameters
+    gates: GateParameters = field(default_factory=GateParameters)
 
     @classmethod
     def from_template(cls, template: Template, thickness_mm: float) -> Recipe:
@@ -102,6 +230,7 @@ class Recipe:
             SegmentationParameters(),
             MatchingParameters(),
             GraspParameters(),
+            GateParameters(),
         )
 
 
@@ -110,5 +239,11 @@ def load_recipe(path: Path) -> Recipe:
     written = read_toml(path, RecipeFile, RecipeError)
     template = load_template(path.parent / written.template.file)
     return Recipe(
-        path.stem, template, written.template.thickness_mm, written.segmentation, written.matching, written.grasp
+        path.stem,
+        template,
+        written.template.thickness_mm,
+        written.segmentation,
+        written.matching,
+        written.grasp,
+        written.gates,
     )

@@ -66,14 +66,19 @@ def test_one_picture_gives_one_json_object(case: Path):
 
 
 def test_several_pictures_give_one_line_each(case: Path):
-    cv2.imwrite(str(case / "b.png"), np.zeros((480, 640), np.uint8))
+    cv2.imwrite(str(case / "b.png"), np.full((480, 640), 60, np.uint8))
     lines = run(case, str(case), "--json").splitlines()
     assert [len(json.loads(line)["parts"]) for line in lines] == [2, 0]
 
 
 def test_a_picture_without_slabs_is_a_result_and_not_a_failure(case: Path):
+    cv2.imwrite(str(case / "grey.png"), np.full((480, 640), 90, np.uint8))
+    assert "0 located" in run(case, str(case / "grey.png"))
+
+
+def test_a_picture_that_is_all_white_is_refused_by_name(case: Path):
     cv2.imwrite(str(case / "white.png"), np.full((480, 640), 255, np.uint8))
-    assert "0 located" in run(case, str(case / "white.png"))
+    assert "white.png: the picture cannot be used: over-exposed" in run(case, str(case / "white.png"), code=1)
 
 
 def test_people_get_a_table(case: Path):

@@ -123,7 +123,11 @@ def _expand(images: Sequence[Path]) -> list[Path]:
 def _locate(path: Path, locator: Locator) -> _Located:
     image = read_image(path)
     locator.calibration.require_size(image.shape[1], image.shape[0], str(path))
-    return _Located(path, image, locator.locate(image))
+    try:
+        return _Located(path, image, locator.locate(image))
+    except ImageError as error:
+        msg = f"{path}: {error}"
+        raise ImageError(msg, number=error.number) from error
 
 
 def _print(console: Console, located: _Located) -> None:

@@ -13,7 +13,7 @@ __all__ = ["EdgePieces", "cut_edges"]
 # A vertex that turns by more than this is a corner: pieces end before it.
 CORNER_DEG = 15.0
 # Distance kept from a corner, where blur mixes both edges.
-CORNER_MARGIN_PX = 3.0
+CORNER_MARGIN_PX = 2.2
 PIECE_PX = 18.0
 MIN_PIECE_PX = 5.0
 # Points of the outline through which a piece's parabola is laid.

@@ -50,19 +50,17 @@ def find_candidates(
     limit_mm: npt.NDArray[np.float64],
     margin_mm: float,
     symmetry_order: Sequence[int],
+    allowed: npt.NDArray[np.bool_] | None = None,
 ) -> list[Candidate]:
     """Return what each blob may be: everything nearly as good as the best of that blob.
 
     ``limit_mm`` (slots,): distance above which an outline is not this slot.  ``margin_mm``: how much worse than the
     best candidate of a blob another may be.  ``symmetry_order`` (slots,): of rotations that look alike only the best is
-    returned.
+    returned.  ``allowed`` (blobs, slots): pairs to compare, instead of those that agree in area and inertia.
     """
     if len(blobs) == 0 or len(slots) == 0:
         return []
-    with np.errstate(divide="ignore"):
-        near = np.abs(np.log(blobs.area_mm2[:, None] / slots.area_mm2)) <= np.log1p(area_tolerance)
-        near &= np.abs(np.log(blobs.inertia[:, None] / slots.inertia)) <= np.log1p(INERTIA_TOLERANCE)
-    pairs = np.argwhere(near)
+    pairs = np.argwhere(_alike(blobs, slots, area_tolerance) if allowed is None else allowed)
     found: list[Candidate] = []
     spectra = np.conj(np.fft.fft(slots.samples, axis=1))
     blob_spectra = np.fft.fft(blobs.samples, axis=1)
@@ -74,6 +72,14 @@ def find_candidates(
         best[candidate.blob] = min(candidate.distance_mm, best.get(candidate.blob, np.inf))
     near_best = [item for item in found if item.distance_mm <= 1.6 * best[item.blob] + margin_mm]
     return _without_repetitions(near_best, symmetry_order)
+
+
+def _alike(blobs: Shapes, slots: Shapes, area_tolerance: float) -> npt.NDArray[np.bool_]:
+    """Return which pairs agree in area and inertia: shape (blobs, slots)."""
+    with np.errstate(divide="ignore"):
+        area = np.abs(np.log(blobs.area_mm2[:, None] / slots.area_mm2))
+        inertia = np.abs(np.log(blobs.inertia[:, None] / slots.inertia))
+    return (area <= np.log1p(area_tolerance)) & (inertia <= np.log1p(INERTIA_TOLERANCE))
 
 
 def _without_repetitions(found: list[Candidate], symmetry_order: Sequence[int]) -> list[Candidate]:

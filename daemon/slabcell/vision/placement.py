@@ -123,7 +123,7 @@ def measure_slots(
     """Return what `measure_placement` returns, with a Locator that is at hand."""
     grey = as_grey(image)
     locator.calibration.require_size(grey.shape[1], grey.shape[0], "the picture")
-    mask = segment(grey, locator.recipe.segmentation).mask
+    mask = segment(grey, locator.recipe.segmentation, image).mask
     asked = sorted(set(slots))
     covered = {slot: _covered(mask, locator, slot, assembly_in_table) for slot in asked}
     # Slots that nobody asked for may be filled too, and their slabs end the edges of their neighbours.

@@ -33,7 +33,7 @@ ROBUST_STEPS = 6
 # Cut of Tukey's biweight in robust standard deviations.
 TUKEY = 4.7
 # What the model of an edge leaves out, per piece: no measurement is trusted better than this.
-FLOOR_PX = 0.02
+FLOOR_PX = 0.012
 # A piece this far from the fitted outline does not support it.
 SUPPORT_PX = 0.6
 # A missing piece counts in `evidence_mm` as if it were this far off.
@@ -42,7 +42,7 @@ MISSING_PX = 3.0
 SIGMA_PX = 0.85
 WALL_RATIO = 0.6
 # How alike the walls of one picture are.
-WALL_RATIO_SIGMA = 0.05
+WALL_RATIO_SIGMA = 0.2
 # Blurs that are tried, a constant factor apart.
 SPREAD_PX = 0.55 * 1.25 ** np.arange(7)
 SPREAD_PIECES = 24

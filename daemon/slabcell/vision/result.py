@@ -8,7 +8,7 @@ from enum import StrEnum
 
 from slabcell.geometry import PlanarPose, Points, RigidTransform2D
 
-__all__ = ["ImagePose", "LocateResult", "LocatedPart", "RejectedBlob", "RejectionReason", "Sigma"]
+__all__ = ["GateReading", "ImagePose", "LocateResult", "LocatedPart", "RejectedBlob", "RejectionReason", "Sigma"]
 
 
 class RejectionReason(StrEnum):
@@ -50,8 +50,10 @@ class LocatedPart:
 
     ``table_to_assembly`` lays it there: assembly = R·table + t.  ``pick`` and ``place`` are the same physical point,
     the grasp point, on the table and in the assembly; place.a_deg − pick.a_deg is the rotation.  ``pick.a_deg`` is the
-    direction on the table of the template's own X axis.  ``symmetry_order`` says how many rotations of the part look
-    alike.  ``outline_px`` is the outline in the picture, shape (n, 2), for overlays.
+    direction on the table of the template's own X axis (``place.a_deg`` is 0), unless a gripper of several cups must
+    be turned to fit: then ``place.a_deg`` is that turn.  ``symmetry_order`` says how many rotations of the part look
+    alike.  ``outline_px`` is the outline in the picture, shape (n, 2), for overlays.  ``kerf_mm`` is how far the slab's
+    edge lies outside of the drawn one, all around; ``coverage`` the share of the outline that is where it should be.
     """
 
     slot: int
@@ -64,6 +66,8 @@ class LocatedPart:
     place: PlanarPose
     sigma: Sigma
     outline_px: Points
+    kerf_mm: float = 0.0
+    coverage: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,15 +82,33 @@ class RejectedBlob:
     outline_px: Points
 
 
+@dataclass(frozen=True, slots=True)
+class GateReading:
+    """One thing that a picture must be like: what was measured, and the limit it was held against."""
+
+    gate: str
+    value: float
+    limit: float
+    unit: str
+    passed: bool
+    detail: str
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LocateResult:
-    """Everything the vision found in one picture.  Stage times are in milliseconds, in the order of the stages."""
+    """Everything the vision found in one picture.  Stage times are in milliseconds, in the order of the stages.
+
+    ``segmentation`` says how slabs were told from the table, ``implementation`` what measured the edges (``native`` or
+    ``numpy``), ``gates`` what the picture was like.
+    """
 
     parts: tuple[LocatedPart, ...]
     rejected: tuple[RejectedBlob, ...]
     empty_slots: tuple[int, ...]
     timing_ms: dict[str, float]
     segmentation: str = ""
+    implementation: str = ""
+    gates: tuple[GateReading, ...] = ()
 
     def to_document(self, image: str) -> dict[str, object]:
         """Return the ``slabcell.locate/1`` object; ``image`` names the picture."""
@@ -94,6 +116,11 @@ class LocateResult:
             "schema": "slabcell.locate/1",
             "image": image,
             "segmentation": self.segmentation,
+            "implementation": self.implementation,
+            "gates": [
+                {"gate": gate.gate, "value": round(gate.value, 3), "limit": gate.limit, "unit": gate.unit}
+                for gate in self.gates
+            ],
             "parts": [_part(part) for part in self.parts],
             "rejected": [
                 {
@@ -114,6 +141,8 @@ def _part(part: LocatedPart) -> dict[str, object]:
         "slot": part.slot,
         "score": round(part.score, 4),
         "residual_mm": round(part.residual_mm, 4),
+        "coverage": round(part.coverage, 4),
+        "kerf_mm": round(part.kerf_mm, 4),
         "symmetry_order": part.symmetry_order,
         "image": {
             "u": round(part.image.u, 3),

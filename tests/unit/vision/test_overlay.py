@@ -45,13 +45,13 @@ def test_a_refused_blob_is_named_in_the_list():
     result = locate(picture, calibration(), recipe([[(0, 0), (200, 0), (100, 90)]]))
     assert result.rejected
     drawn = draw_overlay(picture, result)
-    plain = draw_overlay(picture, locate(np.zeros_like(picture), calibration(), recipe()))
+    plain = draw_overlay(picture, locate(np.full_like(picture, 60), calibration(), recipe()))
     assert not np.array_equal(drawn[:60], plain[:60])
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 700), (700, 1)])
 def test_pictures_of_odd_sizes_can_be_drawn_on(shape: tuple[int, int]):
     height, width = shape
-    picture = np.zeros(shape, np.uint8)
+    picture = np.full(shape, 60, np.uint8)
     result = locate(picture, calibration(width, height), recipe())
     assert draw_overlay(picture, result).shape[0] >= height

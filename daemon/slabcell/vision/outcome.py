@@ -1,0 +1,190 @@
+"""What becomes of each blob of a picture?  Its slot and poses, or why it is refused."""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from slabcell.geometry import PlanarPose, Points, RigidTransform2D, normalize_deg
+from slabcell.vision.blobs import RawBlob
+from slabcell.vision.classic import classic_distances
+from slabcell.vision.describe import Shapes
+from slabcell.vision.matching import Candidate, assign, find_candidates
+from slabcell.vision.prepared import Prepared
+from slabcell.vision.registration import Registration
+from slabcell.vision.result import ImagePose, LocatedPart, RejectedBlob, RejectionReason, Sigma
+
+__all__ = ["Outcome"]
+
+# What the whole-outline registration may be off before the edges are measured: in pixels, and in parts of the size.
+COARSE_PX = 3.0
+COARSE_SHARE = 0.03
+
+
+class Outcome:
+    """What becomes of each blob of one picture."""
+
+    def __init__(self, prepared: Prepared, blobs: list[RawBlob], shapes: Shapes, free: set[int]) -> None:
+        self._prepared = prepared
+        self._blobs = blobs
+        self._shapes = shapes
+        self._free = free
+        self._refused: dict[int, tuple[RejectionReason, str]] = {}
+        self._distance: npt.NDArray[np.float64] | None = None
+
+    def candidates(self) -> list[Candidate]:
+        """Return what each blob may be, and refuse those that can be nothing."""
+        prepared = self._prepared
+        scale = prepared.plane.mm_per_px
+        size = np.sqrt(prepared.shapes.area_mm2)
+        tolerance = prepared.recipe.matching.area_tolerance
+        method = prepared.recipe.matching.method
+        if method != "registration":
+            self._distance = classic_distances(self._shapes, prepared.shapes, prepared.recipe.matching)
+        found = find_candidates(
+            self._shapes,
+            prepared.shapes,
+            area_tolerance=tolerance,
+            limit_mm=COARSE_PX * scale + COARSE_SHARE * size + prepared.recipe.matching.max_residual_mm,
+            margin_mm=0.5 * scale,
+            symmetry_order=prepared.orders,
+            allowed=None if self._distance is None else np.isfinite(self._distance),
+        )
+        hopeful = {candidate.blob for candidate in found}
+        areas = prepared.shapes.area_mm2
+        for index, blob in enumerate(self._blobs):
+            area = float(self._shapes.area_mm2[index])
+            if blob.touches_rim and prepared.recipe.segmentation.border == "reject":
+                self._refused[index] = (RejectionReason.TOUCHES_BORDER, "the rim of the picture cuts it")
+            elif index in hopeful:
+                continue
+            elif area < areas.min() * (1.0 - tolerance):
+                self._refused[index] = (
+                    RejectionReason.TOO_SMALL,
+                    f"{area:.0f} mm², the smallest slot has {areas.min():.0f} mm²",
+                )
+            elif area > areas.max() * (1.0 + tolerance):
+                self._refused[index] = (
+                    RejectionReason.TOUCHING,
+                    f"{area:.0f} mm², the largest slot has {areas.max():.0f} mm²: slabs that touch, or no slab",
+                )
+            else:
+                self._refused[index] = (
+                    RejectionReason.NO_SLOT_FITS,
+                    f"no slot has this outline ({area:.0f} mm²) within the tolerances",
+                )
+        return [candidate for candidate in found if candidate.blob not in self._refused]
+
+    def decide(
+        self, candidates: list[Candidate], registrations: list[Registration]
+    ) -> tuple[list[LocatedPart], list[RejectedBlob]]:
+        """Return the parts and the refused blobs."""
+        prepared = self._prepared
+        cost = np.full((len(self._blobs), len(prepared.slots)), np.inf)
+        best: dict[tuple[int, int], Registration] = {}
+        failed: dict[int, tuple[float, str]] = {}
+        for candidate, registration in zip(candidates, registrations, strict=True):
+            key = (candidate.blob, candidate.slot)
+            why = self._fault(registration)
+            if why:
+                if registration.evidence_mm < failed.get(candidate.blob, (math.inf, ""))[0]:
+                    failed[candidate.blob] = (registration.evidence_mm, f"slot {candidate.slot}: {why}")
+            elif key not in best or registration.evidence_mm < best[key].evidence_mm:
+                cost[key] = registration.evidence_mm if self._distance is None else self._distance[key]
+                best[key] = registration
+        possible = {blob for blob, _ in best}
+        for index in failed:
+            if index not in possible:
+                self._refused[index] = (RejectionReason.NO_SLOT_FITS, f"nearest is {failed[index][1]}")
+        allowed = cost.copy()
+        allowed[:, [slot for slot in range(len(prepared.slots)) if slot not in self._free]] = np.inf
+        parts: list[LocatedPart] = []
+        placed: set[int] = set()
+        for blob, slot in assign(allowed):
+            placed.add(blob)
+            grasp = prepared.grasps[slot]
+            if grasp.point is None:
+                self._refused[blob] = (RejectionReason.NO_GRASP, f"slot {slot}: {grasp.refusal}")
+            else:
+                parts.append(self._part(best[(blob, slot)], grasp.point, grasp.turn_deg))
+        for blob in sorted(possible - placed):
+            slots = ", ".join(str(slot) for other, slot in sorted(best) if other == blob)
+            self._refused[blob] = (
+                RejectionReason.SLOT_TAKEN,
+                f"fits slot {slots}, which is filled or goes to a slab that fits better",
+            )
+        return sorted(parts, key=lambda part: part.slot), self._rejected()
+
+    def _fault(self, registration: Registration) -> str:
+        """Return why a registration is not accepted, or nothing."""
+        limits = self._prepared.recipe.matching
+        if registration.coverage < limits.min_coverage:
+            found, needed = 100 * registration.coverage, 100 * limits.min_coverage
+            return f"only {found:.0f} % of its outline is there, {needed:.0f} % are needed"
+        if registration.residual_mm > limits.max_residual_mm:
+            return f"the outline is {registration.residual_mm:.2f} mm off, the limit is {limits.max_residual_mm:g} mm"
+        score = self._score(registration)
+        if score < limits.min_score:
+            return f"score {score:.2f}, the limit is {limits.min_score:g}"
+        return ""
+
+    def _score(self, registration: Registration) -> float:
+        """Return 1 for an outline that is wholly there and exactly fits, 0.8 at the limit of the residual."""
+        relative = registration.residual_mm / self._prepared.recipe.matching.max_residual_mm
+        return max(0.0, registration.coverage * (1.0 - 0.2 * relative**2))
+
+    def _part(self, registration: Registration, grasp: Points, turn_deg: float) -> LocatedPart:
+        prepared = self._prepared
+        slot = registration.candidate.slot
+        order = prepared.orders[slot]
+        motion = _least_turn(registration.motion, prepared.slots[slot].centroid, order)
+        pick_x, pick_y = motion.apply(grasp)
+        pick = PlanarPose(float(pick_x), float(pick_y), normalize_deg(motion.rotation_deg + turn_deg))
+        place = PlanarPose(float(grasp[0]), float(grasp[1]), turn_deg)
+        direction = np.deg2rad(motion.rotation_deg)
+        reach = 5.0 * prepared.plane.mm_per_px * np.array([np.cos(direction), np.sin(direction)])
+        here = np.array([pick_x, pick_y])
+        middle, ahead = prepared.plane.to_pixels(np.array([here, here + reach]))
+        seen = ahead - middle
+        centre = motion.apply(prepared.slots[slot].centroid)
+        x, y, angle = _sigma_at(registration.covariance, here - centre)
+        return LocatedPart(
+            slot=slot,
+            score=self._score(registration),
+            residual_mm=registration.residual_mm,
+            symmetry_order=order,
+            image=ImagePose(float(middle[0]), float(middle[1]), float(np.rad2deg(np.arctan2(-seen[1], seen[0])))),
+            table_to_assembly=motion.inverse(),
+            pick=pick,
+            place=place,
+            sigma=Sigma(x, y, angle),
+            outline_px=prepared.plane.to_pixels(motion.apply(prepared.slots[slot].vertices)),
+            kerf_mm=registration.kerf_mm,
+            coverage=registration.coverage,
+        )
+
+    def _rejected(self) -> list[RejectedBlob]:
+        rejected: list[RejectedBlob] = []
+        for index in sorted(self._refused):
+            reason, detail = self._refused[index]
+            u, v = self._blobs[index].polygon.mean(axis=0)
+            area = float(self._shapes.area_mm2[index])
+            rejected.append(RejectedBlob(float(u), float(v), area, reason, detail, self._blobs[index].polygon))
+        return rejected
+
+
+def _least_turn(motion: RigidTransform2D, middle: Points, order: int) -> RigidTransform2D:
+    """Return, of the motions that look alike, the one that turns least."""
+    step = 360.0 / order
+    turn = normalize_deg(motion.rotation_deg)
+    least = turn - step * round(turn / step)
+    centre = motion.apply(middle)
+    x, y = centre - RigidTransform2D(least, 0.0, 0.0).apply(middle)
+    return RigidTransform2D(least, float(x), float(y))
+
+
+def _sigma_at(covariance: npt.NDArray[np.float64], arm: Points) -> tuple[float, float, float]:
+    """Return standard deviations of x, y (mm) and rotation (degrees) at a point ``arm`` beside the slot's middle."""
+    jacobian = np.array([[1.0, 0.0, -arm[1]], [0.0, 1.0, arm[0]], [0.0, 0.0, 1.0]])
+    x, y, angle = np.sqrt(np.diag(jacobian @ covariance @ jacobian.T))
+    return float(x), float(y), float(np.rad2deg(angle))

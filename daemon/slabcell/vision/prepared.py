@@ -1,0 +1,69 @@
+"""What of a calibration and a recipe is the same for every picture?  Made once, when first asked for."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from slabcell.calibration.model import Calibration
+from slabcell.geometry import Polygon
+from slabcell.recipe import Recipe
+from slabcell.vision.describe import Shapes, describe_slots, has_visible_walls
+from slabcell.vision.edges import EdgePieces, cut_edges
+from slabcell.vision.grasp import Grasp, choose_grasp
+from slabcell.vision.plane import PlaneView
+from slabcell.vision.symmetry import symmetry_order
+
+__all__ = ["Prepared"]
+
+# Rotations count as alike when no corner leaves the outline by more than this, in pixels or in mm, whichever is more.
+ALIKE_PX = 0.15
+ALIKE_MM = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """Everything about a calibration and a recipe that does not change from picture to picture."""
+
+    calibration: Calibration
+    recipe: Recipe
+
+    @cached_property
+    def plane(self) -> PlaneView:
+        """The plane of the slabs' upper faces."""
+        self.calibration.require_plane()
+        return PlaneView(self.calibration, self.recipe.thickness_mm)
+
+    @cached_property
+    def table(self) -> PlaneView:
+        """The work plane."""
+        return PlaneView(self.calibration, 0.0)
+
+    @cached_property
+    def slots(self) -> tuple[Polygon, ...]:
+        """The slots of the template, assembly frame."""
+        return self.recipe.template.slots
+
+    @cached_property
+    def shapes(self) -> Shapes:
+        """Features of the slots."""
+        return describe_slots(self.slots)
+
+    @cached_property
+    def pieces(self) -> tuple[EdgePieces, ...]:
+        """Measurable pieces of the slots' outlines."""
+        return tuple(cut_edges(slot, self.plane.mm_per_px) for slot in self.slots)
+
+    @cached_property
+    def orders(self) -> tuple[int, ...]:
+        """Rotational symmetry of each slot."""
+        tolerance = max(ALIKE_MM, ALIKE_PX * self.plane.mm_per_px)
+        return tuple(symmetry_order(slot, tolerance) for slot in self.slots)
+
+    @cached_property
+    def grasps(self) -> tuple[Grasp, ...]:
+        """Where each slot's slab is grasped, assembly frame."""
+        return tuple(choose_grasp(slot, self.recipe.grasp, number) for number, slot in enumerate(self.slots))
+
+    @cached_property
+    def walls(self) -> bool:
+        """Whether the slabs' walls are seen."""
+        return has_visible_walls(self.plane)
