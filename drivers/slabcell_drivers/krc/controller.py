@@ -336,6 +336,8 @@ class SoftwareKrc:
         self._emit("message", str(message))
 
     def _telegram(self, channel: str, direction: TelegramDirection, telegram: bytes) -> None:
+        if direction is TelegramDirection.RECEIVED:
+            self._kernel.telegram_came()
         self._emit("telegram", f"{channel} {direction.value} {telegram.decode('latin-1')}")
 
     def _statement(self, file: str, line: int) -> None:

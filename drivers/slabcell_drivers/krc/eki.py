@@ -192,6 +192,11 @@ class EthernetKrl:
         for key in list(self._channels):
             self.clear(key)
 
+    @property
+    def is_connected(self) -> bool:
+        """Tell whether any channel has a connection."""
+        return any(channel.connected for channel in self._channels.values())
+
     def connect_timeout_s(self, channel: str) -> float:
         """Return how long `open` of this client waits at most; 2 s where the configuration does not say."""
         found = self._channels.get(channel.lower())

@@ -131,16 +131,23 @@ class Kernel:
             self._wait_for_wall(step_s / self.speed)
         elif self._is_tied_to_wall(pause):
             began = time.monotonic()
-            if self.eki.poll(step_s):
-                self._network_is_due = False
+            self._poll(step_s)
             step_s = min(step_s, max(1e-4, time.monotonic() - began))
-        elif self.eki.poll():
-            self._network_is_due = False
+        else:
+            self._poll(0.0)
         self.clock.now_s += step_s
         while self._events and self._events[0][0] <= self.clock.now_s:
             heapq.heappop(self._events)[2]()
         self.motion.step(step_s)
         self.interpreter.check_interrupts()
+
+    def _poll(self, timeout_s: float) -> None:
+        if self.eki.poll(timeout_s) and not self.eki.is_connected:
+            self._network_is_due = False  # nobody is left who could answer
+
+    def telegram_came(self) -> None:
+        """Note that what the program waited for may have come."""
+        self._network_is_due = False
 
     def _is_tied_to_wall(self, pause: Pause | None) -> bool:
         if self.motion.is_moving:
