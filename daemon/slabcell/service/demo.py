@@ -22,7 +22,7 @@ import numpy.typing as npt
 from slabcell import __version__
 from slabcell.calibration import Calibration, save_calibration
 from slabcell.cell import events
-from slabcell.cell.bundle import BundleWriter
+from slabcell.cell.bundle_store import BundleWriter
 from slabcell.cell.cell import Cell
 from slabcell.cell.ledger import Ledger
 from slabcell.cell.records import OfferState
@@ -31,9 +31,9 @@ from slabcell.errors import ConfigurationError, SlabcellError, UsageError
 from slabcell.geometry import Polygon
 from slabcell.recipe import Recipe, load_recipe
 from slabcell.service.config import CellConfig, load_config
-from slabcell.service.simulated import Picture, SimulatedCell, calibrate_from_boards
+from slabcell.service.simulated import SimulatedCell, calibrate_from_boards
 from slabcell.vision.overlay import draw_overlay
-from slabcell_drivers.camera import ImageFrame
+from slabcell_drivers.camera import ImageFrame, Pixels
 from slabcell_drivers.krc import RunResult, SoftwareKrc
 from slabcell_drivers.robot.arm import ArmModel, arm_by_name
 from slabcell_drivers.robot.eki.link import EkiServer
@@ -303,9 +303,9 @@ def _failure(placement: Placement) -> str:
     return ""
 
 
-def _write_files(out: Path, document: Document, before: Picture, after: Picture, run: _Run) -> dict[str, str]:
+def _write_files(out: Path, document: Document, before: Pixels, after: Pixels, run: _Run) -> dict[str, str]:
     """Write the pictures and the document; return the paths by what they are."""
-    pictures: dict[str, Picture] = {"before": before, "after": after}
+    pictures: dict[str, Pixels] = {"before": before, "after": after}
     if run.seen is not None:
         pictures["overlay"] = run.seen
     paths = {"folder": str(out), "bundles": str(out / "bundles"), "calibration": str(out / "calibration.json")}
@@ -317,7 +317,7 @@ def _write_files(out: Path, document: Document, before: Picture, after: Picture,
     return paths
 
 
-def _encode(picture: Picture) -> bytes:
+def _encode(picture: Pixels) -> bytes:
     done, encoded = cv2.imencode(".png", picture)
     if not done:
         msg = f"a picture of {picture.shape[1]}x{picture.shape[0]} pixels could not be encoded as PNG"

@@ -5,13 +5,9 @@ moves its tool, and two wires join robot and gripper: an output that grips and a
 """
 
 import itertools
-import threading
 from collections.abc import Callable, Iterable, Mapping
 from importlib.resources import files
 from importlib.resources.abc import Traversable
-
-import numpy as np
-import numpy.typing as npt
 
 from slabcell.calibration import (
     Board,
@@ -23,16 +19,14 @@ from slabcell.calibration import (
     detect_boards,
 )
 from slabcell.errors import CalibrationError
-from slabcell_drivers.camera import CameraInfo
+from slabcell_drivers.camera import CameraInfo, Pixels
 from slabcell_drivers.camera.simulated import SimulatedCamera
 from slabcell_drivers.krc import SoftwareKrc
 from slabcell_drivers.robot import Frame
 from slabcell_drivers.robot.arm import ArmModel
 from slabcell_drivers.simulation import Scene, World, camera_views, plane_views, render_board, render_world
 
-__all__ = ["GripperWires", "Picture", "SimulatedCell", "calibrate_from_boards", "shipped_programs"]
-
-Picture = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
+__all__ = ["GripperWires", "SimulatedCell", "calibrate_from_boards", "shipped_programs"]
 
 CHANNEL = "SlabCell"
 TOOL_NUMBER, PICK_BASE_NUMBER, PLACE_BASE_NUMBER = 1, 1, 2
@@ -53,30 +47,30 @@ def shipped_programs() -> tuple[dict[str, bytes], dict[str, bytes]]:
 
 
 class GripperWires:
-    """The wires between the controller's I/O and the gripper in the world; also tells the world where the tool is."""
+    """The wires between the controller's I/O and the gripper in the world; also tells the world where the tool is.
 
-    def __init__(self, world: World, lock: threading.Lock) -> None:
+    Called from the controller's thread alone, which is the one that changes the world; pictures are rendered from
+    snapshots of it.
+    """
+
+    def __init__(self, world: World) -> None:
         self._world = world
-        self._lock = lock
         self.set_input: Callable[[int, bool], None] | None = None
 
     def output_changed(self, index: int, value: bool, tcp: Frame) -> None:  # noqa: FBT001 - the wire's own signature
         """Grip or release when the controller sets the gripper's output."""
         if index != GRIP_OUTPUT:
             return
-        with self._lock:
-            if value:
-                self._world.grip(tcp)
-            else:
-                self._world.release(tcp)
-            felt = self._world.vacuum
+        if value:
+            self._world.grip(tcp)
+        else:
+            self._world.release(tcp)
         if self.set_input is not None:
-            self.set_input(VACUUM_INPUT, felt)
+            self.set_input(VACUUM_INPUT, self._world.vacuum)
 
     def moved(self, tcp: Frame) -> None:
         """Carry what the gripper holds along with the tool."""
-        with self._lock:
-            self._world.moved(tcp)
+        self._world.moved(tcp)
 
 
 class SimulatedCell:
@@ -87,20 +81,18 @@ class SimulatedCell:
         self.world = World(scene, seed)
         self._arm = arm
         self._tool = tool
-        self._lock = threading.Lock()
         spec = scene.camera
         info = CameraInfo(spec.vendor, spec.model, spec.serial, spec.width, spec.height, "Mono8")
         self.camera = SimulatedCamera(info, self.picture)
 
-    def picture(self, frame_number: int) -> Picture:
+    def picture(self, frame_number: int) -> Pixels:
         """Return what the camera sees now, shape (height, width)."""
-        with self._lock:
-            return render_world(self.world, frame_number)
+        return render_world(self.world, frame_number)
 
     def controller(self, address: tuple[str, int], *, seed: int) -> SoftwareKrc:
         """Return a controller with the shipped programs, taught this cell's tool and bases; EKI goes to ``address``."""
         programs, channels = shipped_programs()
-        wires = GripperWires(self.world, self._lock)
+        wires = GripperWires(self.world)
         krc = SoftwareKrc(
             programs,
             robot=self._arm,
@@ -130,11 +122,12 @@ def calibrate_from_boards(
     """
     board = Board.parse(scene.board.name)
 
-    noise_seeds = itertools.count(1000 * seed)
+    frame_numbers = itertools.count()
 
-    def pictures(kind: str, poses: Iterable[Frame]) -> Iterable[tuple[str, Picture]]:
+    def pictures(kind: str, poses: Iterable[Frame]) -> Iterable[tuple[str, Pixels]]:
         for index, pose in enumerate(poses):
-            picture = render_board(scene.camera, scene.optics, scene.board, pose, seed=next(noise_seeds))
+            number = next(frame_numbers)
+            picture = render_board(scene.camera, scene.optics, scene.board, pose, seed=seed, frame_number=number)
             yield f"{kind} {index + 1}", picture
 
     held, failures = detect_boards(pictures("view", camera_views(scene, seed)), board, done=done)
