@@ -81,14 +81,14 @@ def camera_command(
         cameras: list[GigeCamera] = []
         for index in range(count):
             name = serial or first_serial
-            camera = GigeCamera(
-                render,
-                str(_address(address) + index),
-                serial=name if index == 0 else f"{name}-{index + 1}",
-                limits=limits,
-                seed=seed + index,
-            )
             try:
+                camera = GigeCamera(
+                    render,
+                    str(_address(address) + index),
+                    serial=name if index == 0 else f"{name}-{index + 1}",
+                    limits=limits,
+                    seed=seed + index,
+                )
                 for line in faults or ():
                     camera.faults.apply(line)
                 running.enter_context(camera)

@@ -14,7 +14,7 @@ from slabcell_drivers.camera.aravis_library import AravisLibrary
 from slabcell_drivers.camera.discovery import Interface, find_camera
 from slabcell_drivers.camera.probe import Sight, look
 from slabcell_drivers.camera.protocol import CameraInfo, CameraLost, ImageFrame
-from slabcell_drivers.camera.settings import CameraSettings, CameraStatistics
+from slabcell_drivers.camera.settings import CameraSettings, CameraStatistics, FeatureValue
 from slabcell_drivers.camera.supervision import SupervisedCamera
 from slabcell_drivers.camera.worker import Worker
 
@@ -38,7 +38,12 @@ class AravisCamera(SupervisedCamera):
         on: Sequence[Interface] | None = None,
     ) -> None:
         statistics = CameraStatistics()
-        super().__init__(_AravisBackend(camera, settings or CameraSettings(), statistics, on), statistics)
+        self._aravis = _AravisBackend(camera, settings or CameraSettings(), statistics, on)
+        super().__init__(self._aravis, statistics)
+
+    async def read(self, *names: str) -> dict[str, FeatureValue]:
+        """Return GenICam features of the open camera by name.  Raises CameraError."""
+        return await self._aravis.read(names)
 
 
 class _AravisBackend:
@@ -87,6 +92,12 @@ class _AravisBackend:
         if device is None:
             raise CameraLost(f"camera {self.name}: is not connected")
         return await self._worker.call(lambda: device.snap(deadline_s))
+
+    async def read(self, names: Sequence[str]) -> dict[str, FeatureValue]:
+        device = self._device
+        if device is None:
+            raise CameraLost(f"camera {self.name}: is not connected")
+        return await self._worker.call(lambda: {name: device.features.get(name) for name in names})
 
     async def disconnect(self, *, lost: bool) -> None:
         device, self._device = self._device, None

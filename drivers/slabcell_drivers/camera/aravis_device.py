@@ -73,8 +73,8 @@ class AravisDevice:
             raise CameraLost(f"camera {self._address}: is not open")
         return self._features
 
-    def connect(self) -> None:
-        """Take control of the camera.  Raises CameraError."""
+    def connect(self, *, control: bool = True) -> None:
+        """Take control of the camera, or only read what may be read.  Raises CameraError."""
         try:
             self._camera = self._library.call("arv_camera_new", self._address.encode()) or 0
         except AravisError as error:
@@ -84,7 +84,7 @@ class AravisDevice:
         if not self._library.call("arv_camera_is_gv_device", self._camera):
             raise CameraConfigError(f"camera {self._address}: is not a GigE Vision camera")
         device = self._library.call("arv_camera_get_device", self._camera)
-        if not self._library.call("arv_gv_device_is_controller", device):
+        if control and not self._library.call("arv_gv_device_is_controller", device):
             raise CameraBusy(
                 f"camera {self._address}: another client controls it; close that one, or wait for it to go"
             )

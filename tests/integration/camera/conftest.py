@@ -80,10 +80,12 @@ class Program:
             self._command, stdout=subprocess.PIPE, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
         assert self._process.stdout is not None
-        line = self._process.stdout.readline()
-        if "ready at" not in line:
-            _, errors = self._process.communicate()
-            pytest.fail(f"{' '.join(self._command)}: {line}{errors}")
+        count = int(self._command[self._command.index("--count") + 1]) if "--count" in self._command else 1
+        for _ in range(count):
+            line = self._process.stdout.readline()
+            if "ready at" not in line:
+                _, errors = self._process.communicate()
+                pytest.fail(f"{' '.join(self._command)}: {line}{errors}")
 
     def signal(self, number: signal.Signals) -> None:
         assert self._process is not None

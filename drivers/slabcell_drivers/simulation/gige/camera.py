@@ -9,6 +9,7 @@ import selectors
 import socket
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from ipaddress import IPv4Address, IPv4Network
 from types import TracebackType
@@ -156,13 +157,14 @@ class GigeCamera:
             reaction = self._control.handle(datagram, (peer[0], peer[1]), time.monotonic(), broadcast=broadcast)
             if not self._control.streaming and self._streamer is not None:
                 self._streamer.stop()
-        # An acquisition runs before the client hears so: its first trigger may follow at once.
-        self._act([effect for effect in reaction.effects if effect is Action.START])
+        # An acquisition runs, and a new address is in place, before the client hears so: it may use them at once.
+        early = [effect for effect in reaction.effects if effect is Action.START or isinstance(effect, AddressForced)]
+        self._act(early)
         if reaction.answer is not None:
             self._unicast.sendto(reaction.answer, peer)
-        self._act([effect for effect in reaction.effects if effect is not Action.START])
+        self._act([effect for effect in reaction.effects if effect not in early])
 
-    def _act(self, effects: list[Effect]) -> None:
+    def _act(self, effects: Sequence[Effect]) -> None:
         streamer = self._streamer
         if streamer is None:
             return

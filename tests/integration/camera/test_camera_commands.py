@@ -1,0 +1,166 @@
+"""Do `slabcell camera` and `slabcell sim camera` do what they say, against a camera that speaks GigE Vision?"""
+
+import json
+import signal
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from slabcell.cli.camera import camera_app
+from slabcell.errors import ConfigurationError, SlabcellError, TemporaryError, UnavailableError, UsageError
+from slabcell_drivers.camera.aravis_device import AravisDevice
+from slabcell_drivers.camera.aravis_library import AravisLibrary
+from slabcell_drivers.camera.settings import CameraSettings, CameraStatistics
+from slabcell_drivers.simulation.gige import CheckedPattern, GigeCamera
+
+pytestmark = pytest.mark.integration
+
+LO = ["--interface", "lo"]
+
+
+def run(*words: str) -> str:
+    result = CliRunner().invoke(camera_app, list(words), catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def run_json(*words: str) -> dict:
+    return json.loads(run(*words, "--json"))
+
+
+def test_list_finds_every_camera_by_broadcast_without_a_library(
+    gige: GigeCamera, another_address: str, pattern: CheckedPattern
+) -> None:
+    with GigeCamera(pattern, another_address, serial="SECOND"):
+        found = run_json("list", *LO)
+        assert found["schema"] == "slabcell.camera-list/1"
+        serials = {camera["serial"]: camera["address"] for camera in found["cameras"]}
+        assert serials[gige.device.serial] == gige.address
+        assert serials["SECOND"] == another_address
+        assert gige.device.serial in run("list", *LO)
+
+
+def test_force_ip_gives_a_camera_another_address(gige: GigeCamera, another_address: str) -> None:
+    run("force-ip", gige.device.mac_text, another_address, "--subnet", "255.0.0.0", *LO)
+    assert gige.address == another_address
+    found = run_json("list", *LO)
+    assert [c["address"] for c in found["cameras"] if c["serial"] == gige.device.serial] == [another_address]
+
+
+def test_a_camera_that_is_not_there_is_unavailable() -> None:
+    with pytest.raises(UnavailableError, match="camera list"):
+        run("force-ip", "NO-SUCH-CAMERA", "127.0.0.9", *LO)
+
+
+def test_an_unknown_interface_and_a_bad_address_are_wrong_usage(gige: GigeCamera) -> None:
+    with pytest.raises(UsageError, match=r"there are .*lo"):
+        run("list", "--interface", "nowhere0")
+    with pytest.raises(UsageError, match="no IPv4 address"):
+        run("force-ip", gige.address, "127.0.0.999", *LO)
+
+
+def test_info_reads_features_and_set_writes_them(aravis: AravisLibrary, gige: GigeCamera) -> None:
+    found = run_json("info", gige.device.serial, *LO)
+    features = {feature["name"]: feature for feature in found["features"]}
+    assert features["Width"]["value"] == 640
+    assert features["ExposureTime"] | {"category": ""} == {
+        "name": "ExposureTime", "category": "", "kind": "float", "access": "RW", "value": 5000.0, "minimum": 15.0,
+        "maximum": 1_000_000.0, "choices": [],
+    }  # fmt: skip
+    assert "BayerRG8" in features["PixelFormat"]["choices"]
+    done = run_json("set", gige.address, "ExposureTime=1234.5", "PixelFormat=Mono12p", "GevSCPD=0x10", *LO)
+    assert [feature["value"] for feature in done["features"]] == [1234.5, "Mono12p", 16]
+    assert gige.settings.exposure_us == 1234.5
+    assert gige.settings.packet_delay_ns == 16
+
+
+def test_a_value_out_of_range_and_an_unknown_feature_are_configuration_errors(
+    aravis: AravisLibrary, gige: GigeCamera
+) -> None:
+    with pytest.raises(ConfigurationError, match="it must be 15 to 1000000"):
+        run("set", gige.address, "ExposureTime=1", *LO)
+    with pytest.raises(ConfigurationError, match="has no feature"):
+        run("set", gige.address, "Sharpness=1", *LO)
+
+
+def test_a_camera_in_use_can_be_looked_at_but_not_set(aravis: AravisLibrary, gige: GigeCamera) -> None:
+    device = AravisDevice(aravis, gige.address, CameraSettings(), CameraStatistics())
+    device.connect()
+    try:
+        assert run_json("info", gige.address, "Width", *LO)["features"][0]["value"] == 640
+        with pytest.raises(TemporaryError, match="another client"):
+            run("set", gige.address, "Width=320", *LO)
+        with pytest.raises(TemporaryError, match="a client controls it"):
+            run("force-ip", gige.address, "127.0.0.9", *LO)
+    finally:
+        device.close()
+
+
+def test_grab_writes_a_lossless_picture_and_says_how_it_was_taken(
+    aravis: AravisLibrary, gige: GigeCamera, pattern: CheckedPattern, tmp_path: Path
+) -> None:
+    out = tmp_path / "picture.png"
+    document = run_json("grab", gige.address, "--out", str(out), "--packet-size", "8000", *LO)
+    picture = cv2.imread(str(out), cv2.IMREAD_UNCHANGED)
+    assert pattern.number_of(picture) == gige.counts.triggers
+    assert json.loads(out.with_suffix(".json").read_text()) == document
+    assert (document["width"], document["height"], document["pixel_format"]) == (640, 480, "Mono8")
+
+
+def test_stream_test_measures_and_counts_what_was_lost(aravis: AravisLibrary, gige: GigeCamera) -> None:
+    words = ("stream-test", gige.address, "--duration-s", "0.4", "--packet-size", "8000", *LO)
+    good = run_json(*words)
+    assert good["frames"] == good["triggers"] > 0
+    assert good["packet_size"] == 8000
+    assert good["path"]["interface"] == "lo"
+    gige.faults.apply("loss 0.02")
+    assert "sent again" in run(*words)
+
+
+def test_a_stream_of_which_nothing_arrives_says_so(aravis: AravisLibrary, gige: GigeCamera) -> None:
+    gige.faults.apply("loss 1")
+    with pytest.raises(SlabcellError, match=gige.address):
+        run("grab", gige.address, "--timeout-s", "1", *LO)
+
+
+def test_sim_camera_shows_a_folder_and_obeys_faults_from_its_input(
+    aravis: AravisLibrary, address: str, another_address: str, tmp_path: Path, program: Callable[..., object]
+) -> None:
+    first, second = address, f"{address.rpartition('.')[0]}.{int(address.rpartition('.')[2]) + 1}"
+    assert second == another_address
+    for number in range(2):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), np.full((60, 80), 50 + number, np.uint8))
+    running = program("--address", first, "--count", "2", "--serial", "BOX", "--images", str(tmp_path))
+    found = {c["serial"]: c["address"] for c in run_json("list", *LO)["cameras"]}
+    assert (found["BOX"], found["BOX-2"]) == (first, second)
+    out = tmp_path / "out" / "seen.png"
+    out.parent.mkdir()
+    run("grab", first, "--out", str(out), *LO)
+    assert set(np.unique(cv2.imread(str(out), cv2.IMREAD_UNCHANGED))) <= {50, 51}
+    running.do("dark on")
+    run("grab", first, "--out", str(out), *LO)
+    assert cv2.imread(str(out), cv2.IMREAD_UNCHANGED).max() < 10
+    running.signal(signal.SIGTERM)
+
+
+@pytest.mark.parametrize(
+    ("words", "message", "code"),
+    [
+        (("--address", "10.0.0.1"), "loopback", 69),
+        (("--fault", "explode"), "is not known", 2),
+        (("--images", "/nonexistent"), "holds no picture", 2),
+        (("--scene", "nowhere"), "nowhere", 2),
+    ],
+)
+def test_sim_camera_names_what_it_cannot_do(words: tuple[str, ...], message: str, code: int) -> None:
+    from .conftest import SLABCELL
+
+    result = subprocess.run([SLABCELL, "sim", "camera", *words], capture_output=True, text=True, check=False)
+    assert result.returncode == code, result.stderr
+    assert message in result.stderr
+    assert "Traceback" not in result.stderr
