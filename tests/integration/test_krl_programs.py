@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import itertools
 import math
 from pathlib import Path
 
@@ -375,6 +376,43 @@ async def test_a_part_that_the_cell_does_not_know_is_taken_off_by_a_person():
             result = await asyncio.to_thread(krc.go_on, max_wall_s=MAX_WALL_S)
             assert result.status == "done"
     assert_laid(table, PAIRS)
+
+
+async def test_a_program_that_was_cancelled_deep_down_goes_up_before_it_goes_aside():
+    table, cell, path, cancelled = Table(on_table(PAIRS)), ScriptedCell(PAIRS), [], []
+
+    def event(event):
+        if event.kind == "path":
+            path.append(table.krc.tcp)
+        elif len(table.picks) == 1 and not cancelled:
+            cancelled.append(table.krc.tcp)
+            table.krc.cancel()
+
+    async with serving(cell) as link:
+        kinds = frozenset({"statement", "path"})
+        with controller(table, link.address, trace=event, trace_kinds=kinds) as krc:
+            assert (await run(krc)).status == "cancelled"
+            low = krc.tcp
+            assert low.z_mm < THICKNESS_MM + 1.0
+            path.clear()
+            cell.hook = _hello_that_resumes(cell)
+            assert (await run(krc)).status == "done"
+    assert_laid(table, PAIRS)
+    rising = list(itertools.takewhile(lambda tcp: tcp.z_mm < 70.0, path))
+    assert len(rising) > 3
+    assert max(math.hypot(tcp.x_mm - low.x_mm, tcp.y_mm - low.y_mm) for tcp in rising) < 15.0
+
+
+def _hello_that_resumes(cell):
+    async def resume(request):
+        if request.type is RequestType.HELLO and request.status.gripper_holds_part:
+            cell.session += 1
+            cell.queue = [request.ack_result_id]
+            pick, place = cell.open[request.ack_result_id]
+            return cell.reply(request, offer=Offer(request.ack_result_id, 0, 0, pick, place, 0.9))
+        return None
+
+    return resume
 
 
 async def test_the_link_test_moves_nothing_and_says_that_the_cell_answers():
