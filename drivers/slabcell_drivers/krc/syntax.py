@@ -1,8 +1,36 @@
-"""What is a KRL program once it is read?  Frozen nodes with their place in the file; names are in capitals."""
+"""What is a KRL program once it is read?  Statements, routines and files, and all other nodes by this one door."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+
+from slabcell_drivers.krc.syntax_declarations import (
+    Channel,
+    Declaration,
+    DeclarationNode,
+    Declarator,
+    EnumDecl,
+    External,
+    Import,
+    Parameter,
+    Signal,
+    Struct,
+)
+from slabcell_drivers.krc.syntax_expressions import (
+    Aggregate,
+    Binary,
+    Call,
+    Diagnostic,
+    EnumValue,
+    Expr,
+    Index,
+    Literal,
+    Member,
+    Name,
+    Node,
+    Place,
+    Unary,
+)
 
 __all__ = [
     "Aggregate",
@@ -18,6 +46,7 @@ __all__ = [
     "Confirm",
     "DataList",
     "Declaration",
+    "DeclarationNode",
     "Declarator",
     "Diagnostic",
     "EnumDecl",
@@ -56,204 +85,6 @@ __all__ = [
     "Wait",
     "While",
 ]
-
-
-@dataclass(frozen=True, slots=True)
-class Place:
-    """A place in a file; both counts begin at 1."""
-
-    line: int
-    column: int
-
-
-@dataclass(frozen=True, slots=True)
-class Diagnostic:
-    """One thing that is wrong with a program."""
-
-    file: str
-    line: int
-    column: int
-    severity: str  # "error" or "warning"
-    code: str
-    message: str
-
-    def __str__(self) -> str:
-        """Return the line that compilers print."""
-        return f"{self.file}:{self.line}:{self.column}: {self.severity}: {self.message} [{self.code}]"
-
-
-@dataclass(frozen=True, slots=True)
-class Node:
-    """Anything that stands somewhere in a file."""
-
-    place: Place
-
-
-# --- expressions ---------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class Literal(Node):
-    """INT, REAL, BOOL or text."""
-
-    value: int | float | bool | str
-
-
-@dataclass(frozen=True, slots=True)
-class EnumValue(Node):
-    """``#NAME``."""
-
-    name: str
-
-
-@dataclass(frozen=True, slots=True)
-class Name(Node):
-    """A variable, or a system variable when it begins with ``$``."""
-
-    name: str
-
-
-@dataclass(frozen=True, slots=True)
-class Index(Node):
-    """``x[1]``, ``x[]``, ``x[1,]``: an empty place is None."""
-
-    base: Expr
-    indices: tuple[Expr | None, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Member(Node):
-    """``x.NAME``."""
-
-    base: Expr
-    name: str
-
-
-@dataclass(frozen=True, slots=True)
-class Call(Node):
-    """``f(a,,b)``: an argument left out is None."""
-
-    name: str
-    arguments: tuple[Expr | None, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Aggregate(Node):
-    """``{TYPE: A 1,B[] "x",C {…}}``; a member without a name is positional."""
-
-    type_name: str
-    members: tuple[tuple[str, Expr], ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Unary(Node):
-    """``NOT``, ``B_NOT``, ``+`` or ``-``."""
-
-    operator: str
-    operand: Expr
-
-
-@dataclass(frozen=True, slots=True)
-class Binary(Node):
-    """Two operands; ``bare`` tells that no parentheses stand around it."""
-
-    operator: str
-    left: Expr
-    right: Expr
-    parenthesized: bool = False
-
-
-Expr = Literal | EnumValue | Name | Index | Member | Call | Aggregate | Unary | Binary
-
-# --- declarations --------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class Declarator(Node):
-    """One name of a declaration; a dimension left empty is None."""
-
-    name: str
-    dimensions: tuple[Expr | None, ...] = ()
-    value: Expr | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Declaration(Node):
-    """``DECL GLOBAL CONST type a,b[3]=…``."""
-
-    type_name: str
-    names: tuple[Declarator, ...]
-    is_global: bool = False
-    is_const: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Struct(Node):
-    """``STRUC name type a,b,type c``."""
-
-    name: str
-    members: tuple[tuple[str, Declarator], ...]
-    is_global: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class EnumDecl(Node):
-    """``ENUM name a,b``."""
-
-    name: str
-    values: tuple[str, ...]
-    is_global: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Signal(Node):
-    """``SIGNAL name $IN[1] TO $IN[8]``; without first it is switched off (``FALSE``)."""
-
-    name: str
-    first: Expr | None
-    last: Expr | None = None
-    is_global: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Channel(Node):
-    """``CHANNEL :name :interface structure``."""
-
-    name: str
-    interface: str
-    structure: Expr | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Import(Node):
-    """``IMPORT type name IS /R1/module..name``."""
-
-    type_name: str
-    name: str
-    module: str
-    source: str
-
-
-@dataclass(frozen=True, slots=True)
-class Parameter(Node):
-    """One formal parameter: mode ``IN``, ``OUT`` or empty where none is written."""
-
-    name: str
-    dimensions: int = 0
-    mode: str = ""
-    type_name: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class External(Node):
-    """``EXT name(…)``, ``EXTFCT type name(…)``, ``EXTP``, ``EXTFCTP``."""
-
-    name: str
-    result_type: str
-    parameters: tuple[Parameter, ...]
-
-
-# --- statements ----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -459,7 +290,6 @@ class Asynchronous(Node):
 
 
 Branch = If | Switch | For | While | Repeat | Loop | Spline
-DeclarationNode = Declaration | Struct | EnumDecl | Signal | Channel | Import | External
 Statement = (
     Assign
     | CallStatement
@@ -479,8 +309,6 @@ Statement = (
     | Asynchronous
     | DeclarationNode
 )
-
-# --- files ---------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,11 +5,23 @@ enumeration an `EnumConstant`.  None stands for a value that was never set.
 """
 
 import struct
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from typing import Any
 
 from slabcell_drivers.krc.messages import KrlError, RunMessage
+from slabcell_drivers.krc.value_types import (
+    BOOL,
+    CHAR,
+    INT,
+    POSITION_FIELDS,
+    REAL,
+    ArrayType,
+    EnumConstant,
+    EnumType,
+    KrlType,
+    ScalarType,
+    StructType,
+)
 
 __all__ = [
     "BOOL",
@@ -29,7 +41,6 @@ __all__ = [
     "Value",
     "coercer",
     "copy_value",
-    "enum_constant",
     "fresh",
     "real32",
     "text_of",
@@ -41,65 +52,6 @@ Value = Any
 _F32 = struct.Struct("<f")
 _INT_MAX = 2**31 - 1
 MAX_ARRAY_ITEMS = 1_000_000
-
-
-@dataclass(frozen=True, slots=True)
-class ScalarType:
-    """INT, REAL, BOOL or CHAR."""
-
-    name: str
-
-
-INT, REAL, BOOL, CHAR = ScalarType("INT"), ScalarType("REAL"), ScalarType("BOOL"), ScalarType("CHAR")
-
-
-@dataclass(frozen=True, slots=True)
-class EnumType:
-    """An enumeration; ``values`` is empty where every value is taken."""
-
-    name: str
-    values: frozenset[str]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class StructType:
-    """A structure with its members in their order."""
-
-    name: str
-    members: Mapping[str, "KrlType"]
-    is_flat: bool = field(default=True)
-
-
-@dataclass(frozen=True, slots=True)
-class ArrayType:
-    """An array of one to three dimensions; 0 stands for a size that the argument brings."""
-
-    element: "KrlType"
-    sizes: tuple[int, ...]
-
-    @property
-    def name(self) -> str:
-        """The name as a declaration would write it."""
-        return f"{self.element.name}[{','.join(str(s) if s else '' for s in self.sizes)}]"
-
-
-KrlType = ScalarType | EnumType | StructType | ArrayType
-
-
-@dataclass(frozen=True, slots=True)
-class EnumConstant:
-    """``#NAME``: the same name is the same value, whichever enumeration it comes from."""
-
-    name: str
-
-    def __str__(self) -> str:
-        """Return it as KRL writes it."""
-        return f"#{self.name}"
-
-
-def enum_constant(name: str) -> EnumConstant:
-    """Return the value of an enumeration with this name."""
-    return EnumConstant(name)
 
 
 class StructValue:
@@ -242,17 +194,6 @@ class CharArray:
         return (self.text or "") == ((other.text or "") if isinstance(other, CharArray) else other)
 
     __hash__ = None  # pyright: ignore[reportAssignmentType]  # a value that changes is no key
-
-
-POSITION_FIELDS: dict[str, tuple[str, ...]] = {
-    "FRAME": ("X", "Y", "Z", "A", "B", "C"),
-    "POS": ("X", "Y", "Z", "A", "B", "C", "S", "T"),
-    "E6POS": ("X", "Y", "Z", "A", "B", "C", "S", "T", "E1", "E2", "E3", "E4", "E5", "E6"),
-    "E3POS": ("X", "Y", "Z", "A", "B", "C", "S", "T", "E1", "E2", "E3"),
-    "AXIS": ("A1", "A2", "A3", "A4", "A5", "A6"),
-    "E3AXIS": ("A1", "A2", "A3", "A4", "A5", "A6", "E1", "E2", "E3"),
-    "E6AXIS": ("A1", "A2", "A3", "A4", "A5", "A6", "E1", "E2", "E3", "E4", "E5", "E6"),
-}
 
 
 def real32(value: float) -> float:
