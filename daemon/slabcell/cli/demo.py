@@ -13,6 +13,7 @@ from rich.table import Table
 from slabcell.hmi.report import render_report
 from slabcell.logs import log_to_file
 from slabcell.service.demo import DemoOptions, run_demo
+from slabcell.service.demo_camera import DemoCamera
 
 __all__ = ["demo_command"]
 
@@ -51,7 +52,8 @@ class _Display:
 
 def demo_command(
     scene: Annotated[
-        str, typer.Option("--scene", metavar="NAME", help="Scene: dresden, irregular, stones, or a scene file of your own.")
+        str,
+        typer.Option("--scene", metavar="NAME", help="Scene: dresden, irregular, stones, or a scene file of your own."),
     ] = "dresden",
     seed: Annotated[
         int, typer.Option("--seed", min=0, max=2**31 - 1, help="How the slabs are strewn, and the noise.")
@@ -59,6 +61,10 @@ def demo_command(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where pictures, report and bundles go.")] = Path(
         "demo-out"
     ),
+    camera: Annotated[
+        DemoCamera,
+        typer.Option("--camera", help="What looks at the table; aravis: over GigE Vision on the loopback interface."),
+    ] = DemoCamera.SIMULATED,
     *,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")] = False,
 ) -> None:
@@ -79,7 +85,7 @@ def demo_command(
     log_to_file(out / "slabcell.log")
     with Progress(*columns, console=console) as progress:
         display = _Display(progress)
-        document = asyncio.run(run_demo(DemoOptions(scene, seed, out), display))
+        document = asyncio.run(run_demo(DemoOptions(scene, seed, out, camera), display))
         display.close()
     document["files"]["report"] = str(_write_report(document))
     if as_json:

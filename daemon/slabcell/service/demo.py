@@ -31,6 +31,7 @@ from slabcell.errors import ConfigurationError, SlabcellError, UsageError
 from slabcell.geometry import Polygon
 from slabcell.recipe import Recipe, load_recipe
 from slabcell.service.config import CellConfig, load_config
+from slabcell.service.demo_camera import DemoCamera, demo_camera
 from slabcell.service.simulated import SimulatedCell, calibrate_from_boards
 from slabcell.vision.overlay import draw_overlay
 from slabcell_drivers.camera import ImageFrame, Pixels
@@ -45,7 +46,6 @@ LIMIT_MM = 0.5
 LIMIT_DEG = 0.5
 PROGRAM = "SlabCell"
 JOB_TIMEOUT_S = 240.0
-OPEN_TIMEOUT_S = 10.0
 
 Document = dict[str, Any]
 
@@ -64,11 +64,12 @@ class Progress(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class DemoOptions:
-    """What to show: a shipped scene's name or a scene file, how the slabs are strewn, and where the files go."""
+    """What to show: a shipped scene's name or a scene file, how the slabs are strewn, where files go, which camera."""
 
     scene: str
     seed: int
     out: Path
+    camera: DemoCamera = DemoCamera.SIMULATED
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +119,7 @@ async def run_demo(options: DemoOptions, progress: Progress) -> Document:
 
     progress.stage("taking the first picture")
     before = await asyncio.to_thread(simulated.picture, 0)
-    cell_run = _Run(parts, simulated, calibration, progress)
+    cell_run = _Run(parts, simulated, options.camera, calibration, progress)
     await cell_run.run(out, seed=options.seed)
 
     progress.stage("measuring what was laid")
@@ -133,9 +134,17 @@ async def run_demo(options: DemoOptions, progress: Progress) -> Document:
 class _Run:
     """One job: the cell behind its EKI server, and the controller that runs the shipped program against it."""
 
-    def __init__(self, parts: _Parts, simulated: SimulatedCell, calibration: Calibration, progress: Progress) -> None:
+    def __init__(
+        self,
+        parts: _Parts,
+        simulated: SimulatedCell,
+        camera: DemoCamera,
+        calibration: Calibration,
+        progress: Progress,
+    ) -> None:
         self._parts = parts
         self._simulated = simulated
+        self._camera = camera
         self._calibration = calibration
         self._progress = progress
         self._frame: ImageFrame | None = None
@@ -173,26 +182,24 @@ class _Run:
 
     @contextlib.asynccontextmanager
     async def _cell(self, out: Path) -> AsyncGenerator[Cell]:
-        camera = self._simulated.camera
         ledger = await Ledger.open(out / "ledger.sqlite")
         try:
-            await camera.open(OPEN_TIMEOUT_S)
-            cell = Cell(
-                camera,
-                self._calibration,
-                self._parts.recipe,
-                arm=self._parts.arm,
-                settings=self._parts.settings,
-                ledger=ledger,
-                bundles=BundleWriter(out / "bundles"),
-            )
-            await cell.start()
-            try:
-                yield cell
-            finally:
-                await cell.stop()
+            async with demo_camera(self._camera, self._simulated) as camera:
+                cell = Cell(
+                    camera,
+                    self._calibration,
+                    self._parts.recipe,
+                    arm=self._parts.arm,
+                    settings=self._parts.settings,
+                    ledger=ledger,
+                    bundles=BundleWriter(out / "bundles"),
+                )
+                await cell.start()
+                try:
+                    yield cell
+                finally:
+                    await cell.stop()
         finally:
-            await camera.close()
             await ledger.close()
 
     def _see(self, event: events.Event) -> None:
@@ -258,6 +265,7 @@ def _document(options: DemoOptions, parts: _Parts, placements: tuple[Placement, 
         "version": __version__,
         "scene": parts.scene.name,
         "seed": options.seed,
+        "camera": options.camera.value,
         "ok": not failures,
         "failures": failures,
         "limits": {"position_mm": LIMIT_MM, "angle_deg": LIMIT_DEG},
