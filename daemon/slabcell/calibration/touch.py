@@ -25,7 +25,7 @@ MAX_MM = 1e5
 MAX_PX = 1e5
 MAX_COUNT = 10_000
 AFFINE_MIN_POINTS = 6
-AFFINE_GAIN = 0.8
+AFFINE_GAIN = 0.9
 """The affine fit is chosen only if its hold-out residual is below this part of the rigid one's."""
 
 
