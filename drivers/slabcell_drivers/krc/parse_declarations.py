@@ -19,7 +19,7 @@ from slabcell_drivers.krc.token_stream import KrlSyntaxError
 
 __all__ = ["DeclarationParser"]
 
-_EXTERNAL = ("EXT", "EXTP", "EXTFCT", "EXTFCTP")
+_EXTERNAL = ("EXT", "EXTP", "EXTFCT", "EXTFCTP", "EXTDEF")
 _MODIFIERS = ("DECL", "GLOBAL", "CONST", "PUBLIC")
 
 
@@ -174,7 +174,7 @@ class DeclarationParser(ExpressionParser):
                 type_name, first = first, self.advance().word
             if self.at("LSQB"):
                 dimensions = len(self.indices())
-            mode = self.expect_word("IN", "OUT").word if self.accept("COLON") else ""
+            mode = self.expect_word("IN", "OUT", "INOUT").word if self.accept("COLON") else ""
             found.append(Parameter(place, first, dimensions, mode, type_name))
             if not self.accept("COMMA"):
                 break

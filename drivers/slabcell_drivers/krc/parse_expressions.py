@@ -106,7 +106,8 @@ class ExpressionParser(TokenStream):
                 return Literal(place, int(token.text))
             case "REAL":
                 self.advance()
-                return Literal(place, float(token.text))
+                # 1.#INF and its kin are what a controller saves of a number that is none
+                return Literal(place, 0.0 if "#" in token.text else float(token.text))
             case "BITS":
                 self.advance()
                 digits = token.text[2:-1].replace(" ", "")

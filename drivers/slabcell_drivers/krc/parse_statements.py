@@ -90,7 +90,7 @@ class StatementParser(DeclarationParser, MotionParser):
             return False
         if token.word == "GLOBAL":
             return self.ahead().kind == "NAME" and self.ahead().word in {"DEF", "DEFFCT"}
-        return token.word in _ENDS and self.ahead().kind not in {"ASSIGN", "DOT", "LSQB"}
+        return token.word in _ENDS and self.ahead().kind not in {"ASSIGN", "DOT", "LSQB", "COLON"}
 
     def block(self, *closers: str) -> tuple[Statement, ...]:
         """Return the statements up to one of these words, which stays where it is; errors are noted."""
@@ -315,6 +315,12 @@ class StatementParser(DeclarationParser, MotionParser):
         fast = self.accept_word("F", "FF")
         return Keyword(place, "BRAKE F" if fast else "BRAKE")
 
+    def _action(self) -> Statement:
+        """Return what an interrupt or trigger does: a call or an assignment, a single word in some programs."""
+        if self.at_word(*_WORDS, "BRAKE") and self.ahead().kind not in {"ASSIGN", "DOT", "LSQB"}:
+            return self.statement()
+        return self.assignment()
+
     def _interrupt(self, place: Place, *, is_global: bool = False) -> Statement:
         self.advance()
         verb = self.expect_word("DECL", "ON", "OFF", "ENABLE", "DISABLE").word
@@ -324,7 +330,7 @@ class StatementParser(DeclarationParser, MotionParser):
         self.expect_word("WHEN")
         condition = self.expression()
         self.expect_word("DO")
-        return InterruptDecl(place, number, condition, self.assignment(), is_global)
+        return InterruptDecl(place, number, condition, self._action(), is_global)
 
     def _trigger(self, place: Place) -> Statement:
         self.advance()
@@ -340,7 +346,7 @@ class StatementParser(DeclarationParser, MotionParser):
                 self.expect("ASSIGN", "'='")
                 delay = self.expression()
         self.expect_word("DO")
-        action = self.assignment()
+        action = self._action()
         priority = None
         if self.accept_word("PRIO"):
             self.expect("ASSIGN", "'='")

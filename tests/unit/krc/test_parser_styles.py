@@ -365,6 +365,14 @@ def test_line_ends_letter_case_and_blanks_make_no_difference(style):
         "DECL GLOBAL E6POS P[3]",
         "EXT foo(INT:IN)",
         "RETURN",
+        "END:\nGOTO END",
+        "INTERRUPT DECL 5 WHEN x DO HALT",
+        "TRIGGER WHEN DISTANCE=0 DELAY=0 DO BRAKE",
+        "DECL REAL broken=-1.#IND",
+        "x=1.#INF",
+        "  &PARAM in the middle",
+        'SYNCCMD(#PROGSYNC,"x",1)',
+        'DECL BASIS_SUGG_T LAST={POINT1[] "P1",CONT[] "C_DIS C_DIS",N 1}',
     ],
 )
 def test_a_line_that_somebody_writes_is_taken(line):
