@@ -1,5 +1,6 @@
 """The files that follow from the telegram schema are the ones in the repository."""
 
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -21,7 +22,9 @@ def test_the_committed_file_is_the_generated_one(path):
 
 def test_a_file_that_differs_is_named_by_the_check_and_mended_by_the_command(tmp_path, capsys):
     (tmp_path / "krl").mkdir()
-    (tmp_path / "krl" / "VT.dat").write_text((ROOT / "krl" / "VT.dat").read_text())
+    for path in (ROOT / "krl").iterdir():
+        if path.suffix in {".src", ".dat"}:
+            (tmp_path / "krl" / path.name).write_bytes(path.read_bytes())
     assert generate.main(["--check", "--root", str(tmp_path)]) == 1
     assert "SlabCell.xml: differs" in capsys.readouterr().out
     assert not (tmp_path / "krl" / "SlabCell.xml").exists()
@@ -50,3 +53,10 @@ def test_only_flags_have_elements_without_a_type():
 def test_a_file_without_the_generated_fold_is_refused():
     with pytest.raises(ValueError, match="no fold"):
         splice("DEFDAT VT\nENDDAT\n", "x")
+
+
+def test_the_programs_page_describes_every_global_routine():
+    page = (ROOT / "docs" / "reference" / "robot-programs.md").read_text("utf-8")
+    for path in (ROOT / "krl").glob("*.src"):
+        for name in re.findall(r"^GLOBAL DEF(?:FCT \w+)? (\w+)", path.read_text("ascii"), re.MULTILINE):
+            assert f"`{name}(" in page, f"{path.name}: {name} has no comment above it"

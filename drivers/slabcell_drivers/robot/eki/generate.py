@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 from slabcell_drivers.robot.eki.krl_constants import constants_fold, splice
+from slabcell_drivers.robot.eki.programs_page import programs_page
 from slabcell_drivers.robot.eki.reference_page import reference_page
 from slabcell_drivers.robot.eki.schema import CHANNEL
 from slabcell_drivers.robot.eki.xml_files import channel_xml
@@ -21,11 +22,14 @@ def generated_files(root: Path) -> dict[Path, str]:
     """Return the text of every generated file below the repository's ``root``."""
     krl = root / "krl"
     vt_dat = krl / "VT.dat"
+    constants = splice(vt_dat.read_text("ascii"), constants_fold(CHANNEL))
+    programs = {path.name: path.read_text("ascii") for path in sorted(krl.iterdir()) if path.suffix in {".src", ".dat"}}
     return {
         krl / f"{CHANNEL.name}.xml": channel_xml(CHANNEL, robot_is_client=True),
         krl / f"{CHANNEL.server_name}.xml": channel_xml(CHANNEL, robot_is_client=False),
-        vt_dat: splice(vt_dat.read_text("ascii"), constants_fold(CHANNEL)),
+        vt_dat: constants,
         root / "docs" / "reference" / "eki-channel.md": reference_page(CHANNEL),
+        root / "docs" / "reference" / "robot-programs.md": programs_page({**programs, vt_dat.name: constants}),
     }
 
 
