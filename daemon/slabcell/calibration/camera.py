@@ -33,9 +33,9 @@ LensModel = Literal["brown4", "brown5", "brown8", "brown14", "fisheye"]
 
 MIN_VIEWS = 4
 MIN_POINTS = 8
-OUTLIER_FACTOR = 2.5
+OUTLIER_FACTOR = 3.0
 MAX_FOLDS = 15
-OUTLIER_FLOOR_PX = 0.1
+OUTLIER_FLOOR_PX = 0.15
 NOISE_FLOOR_PX = 0.02
 MAX_FOCAL_UNCERTAINTY = 0.1
 """Standard deviation of the focal length, relative to it, above which there is no calibration."""
