@@ -194,6 +194,11 @@ class Plan:
     """
     restart_at: list[int] = field(default_factory=list)
     """Telegrams, both ways counted, at which the cell is stopped and started again."""
+    cut_at: list[tuple[int, str, float]] = field(default_factory=list)
+    """Telegrams at which the cable is cut, and for how many seconds.
+
+    "cut": nothing passes and nobody is told; "forget": the connection is half-open, a new one can be made.
+    """
 
     @classmethod
     def of(cls, seed):
@@ -207,6 +212,10 @@ class Plan:
         kinds = ["cancel", "power_hold", "power_drop"]
         plan.stop_at = [(rng.choice(kinds), rng.randrange(1, NORMAL_STATEMENTS)) for _ in range(rng.randrange(3))]
         plan.restart_at = sorted(rng.sample(range(2 * NORMAL_TELEGRAMS), rng.choice([0, 0, 0, 1, 2])))
+        plan.cut_at = sorted(
+            (rng.randrange(2 * NORMAL_TELEGRAMS), rng.choice(["cut", "forget"]), rng.choice([0.05, 0.4]))
+            for _ in range(rng.choice([0, 0, 0, 1]))
+        )
         return plan
 
 
@@ -240,7 +249,7 @@ class Run:
 
     async def __call__(self):
         """Let the robot live, and start the cell again where the plan says so."""
-        port, restarts = 0, list(self.plan.restart_at)
+        port, restarts, cuts = 0, list(self.plan.restart_at), list(self.plan.cut_at)
         robot = None
         while robot is None or not robot.done():
             ledger = await Ledger.open(self.folder / "ledger.sqlite")
@@ -251,6 +260,10 @@ class Run:
                 self.telegrams += 1
                 if restarts and self.telegrams >= restarts[0]:
                     over.set()
+                if cuts and self.telegrams >= cuts[0][0]:
+                    _, how, for_s = cuts.pop(0)
+                    self.cable.forget() if how == "forget" else self.cable.cut()
+                    asyncio.get_running_loop().call_later(for_s, self.cable.repair)
 
             link = EkiServer("127.0.0.1", port, on_telegram=count)
             try:
@@ -429,6 +442,15 @@ async def test_a_fault_of_the_cable_costs_no_slab(fault, tmp_path):
     assert judge(outcome) == []
     assert outcome.job_state == "complete"
     assert len(outcome.table.grips) == SLABS
+
+
+@pytest.mark.parametrize("how", ["cut", "forget"])
+async def test_a_cable_that_is_cut_for_a_while_costs_no_slab(how, tmp_path):
+    at = random.randrange(2 * NORMAL_TELEGRAMS)
+    print(f"{how} {at}")
+    outcome = await trial(Plan(cut_at=[(at, how, 0.3)]), tmp_path)
+    assert judge(outcome) == []
+    assert outcome.job_state == "complete"
 
 
 async def test_seeds_of_every_kind_of_fault_cost_no_slab(tmp_path):
