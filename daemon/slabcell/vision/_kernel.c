@@ -40,7 +40,7 @@ typedef struct {
 enum { MIDDLE_U, MIDDLE_V, OUTWARD_U, OUTWARD_V, HALF, BEND, WALL, LINE_FIELDS };
 enum { SHIFT, SIGMA, INSIDE, OUTSIDE, WALL_LEVEL, VALID, SCATTER, RESULT_FIELDS };
 
-int slabcell_kernel_version(void) { return 3; }
+int slabcell_kernel_version(void) { return 4; }
 
 static inline void normal_distribution(const double *table, double x, double *density, double *integral)
 {
@@ -222,6 +222,233 @@ static void fit(int n, const double *restrict count, const double *restrict dept
     result[SCATTER] = variance;
     result[VALID] = pixels >= 40 && sigma < 0.5 && fabs(step) < reach - 2.0 * s
                     && contrast > fmax(4.0, 0.02 * fabs(inside));
+}
+
+/* ---- Where pieces of outlines are seen (edge_projection.py is the reference) ---- */
+
+#define DEGREE 4
+#define TERMS 15
+enum { PIECE_X, PIECE_Y, PIECE_TX, PIECE_TY, PIECE_HALF, PIECE_BEND, PIECE_FIELDS };
+enum { POSE_ROTATION, POSE_X, POSE_Y, POSE_PIVOT_X, POSE_PIVOT_Y, POSE_KERF, POSE_FIELDS };
+enum { MAP_X, MAP_Y, MAP_SIZE, MAP_TOP, MAP_FOOT = MAP_TOP + 2 * TERMS, MAP_FIELDS = MAP_FOOT + 2 * TERMS };
+enum { ROW_X, ROW_Y, ROW_TURN, ROW_KERF, PX_PER_MM, SHARE, TABLE_X, TABLE_Y, EXTRA_FIELDS };
+
+/* The terms x^i y^j in the order of local_map.TERMS, and their derivatives. */
+static void terms(double x, double y, double *value, double *by_x, double *by_y)
+{
+    double xs[DEGREE + 1] = {1.0}, ys[DEGREE + 1] = {1.0};
+    for (int i = 0; i < DEGREE; i++) {
+        xs[i + 1] = xs[i] * x;
+        ys[i + 1] = ys[i] * y;
+    }
+    int term = 0;
+    for (int total = 0; total <= DEGREE; total++)
+        for (int j = 0; j <= total; j++, term++) {
+            int i = total - j;
+            value[term] = xs[i] * ys[j];
+            if (by_x) {
+                by_x[term] = i ? i * xs[i - 1] * ys[j] : 0.0;
+                by_y[term] = j ? j * xs[i] * ys[j - 1] : 0.0;
+            }
+        }
+}
+
+static inline void dot(const double *coefficients, const double *term, double *u, double *v)
+{
+    double a = 0.0, b = 0.0;
+    for (int i = 0; i < TERMS; i++) {
+        a += coefficients[2 * i] * term[i];
+        b += coefficients[2 * i + 1] * term[i];
+    }
+    *u = a;
+    *v = b;
+}
+
+void slabcell_project(int outlines, const int64_t *starts, const double *pieces, const double *poses,
+                      const double *maps, int mirrored, double *lines, double *extras)
+{
+    for (int o = 0; o < outlines; o++) {
+        const double *pose = poses + POSE_FIELDS * (ptrdiff_t)o, *map = maps + MAP_FIELDS * (ptrdiff_t)o;
+        const double c = cos(pose[POSE_ROTATION]), s = sin(pose[POSE_ROTATION]), size = map[MAP_SIZE];
+        double length = 0.0;
+        for (int64_t p = starts[o]; p < starts[o + 1]; p++)
+            length += pieces[PIECE_FIELDS * p + PIECE_HALF];
+        for (int64_t p = starts[o]; p < starts[o + 1]; p++) {
+            const double *piece = pieces + PIECE_FIELDS * p;
+            double *line = lines + LINE_FIELDS * p, *extra = extras + EXTRA_FIELDS * p;
+            const double dx = piece[PIECE_X] - pose[POSE_PIVOT_X], dy = piece[PIECE_Y] - pose[POSE_PIVOT_Y];
+            const double ax = c * dx - s * dy, ay = s * dx + c * dy;
+            const double tx = c * piece[PIECE_TX] - s * piece[PIECE_TY], ty = s * piece[PIECE_TX] + c * piece[PIECE_TY];
+            const double nx = ty, ny = -tx, half = piece[PIECE_HALF];
+            const double x = pose[POSE_X] + ax + pose[POSE_KERF] * nx, y = pose[POSE_Y] + ay + pose[POSE_KERF] * ny;
+            const double px = (x - map[MAP_X]) / size, py = (y - map[MAP_Y]) / size;
+            const double bulge = piece[PIECE_BEND] * half * half;
+            double value[TERMS], by_x[TERMS], by_y[TERMS];
+            double u, v, u0, v0, u1, v1, uf, vf, ux, vx, uy, vy;
+            terms(px + (-half * tx + bulge * nx) / size, py + (-half * ty + bulge * ny) / size, value, NULL, NULL);
+            dot(map + MAP_TOP, value, &u0, &v0);
+            terms(px + (half * tx + bulge * nx) / size, py + (half * ty + bulge * ny) / size, value, NULL, NULL);
+            dot(map + MAP_TOP, value, &u1, &v1);
+            terms(px, py, value, by_x, by_y);
+            dot(map + MAP_TOP, value, &u, &v);
+            dot(map + MAP_FOOT, value, &uf, &vf);
+            dot(map + MAP_TOP, by_x, &ux, &vx);
+            dot(map + MAP_TOP, by_y, &uy, &vy);
+            const double chord = fmax(hypot(u1 - u0, v1 - v0), 1e-9), side = mirrored ? -1.0 : 1.0;
+            const double nu = side * (v1 - v0) / chord, nv = -side * (u1 - u0) / chord;
+            const double sag = nu * (0.5 * (u0 + u1) - u) + nv * (0.5 * (v0 + v1) - v);
+            line[MIDDLE_U] = u;
+            line[MIDDLE_V] = v;
+            line[OUTWARD_U] = nu;
+            line[OUTWARD_V] = nv;
+            line[HALF] = 0.5 * chord;
+            line[BEND] = sag / (0.25 * chord * chord);
+            line[WALL] = fmax(nu * (uf - u) + nv * (vf - v), 0.0);
+            extra[ROW_X] = nx;
+            extra[ROW_Y] = ny;
+            extra[ROW_TURN] = ny * ax - nx * ay;
+            extra[ROW_KERF] = 1.0;
+            extra[PX_PER_MM] = (nu * (nx * ux + ny * uy) + nv * (nx * vx + ny * vy)) / size;
+            extra[SHARE] = half / fmax(length, 1e-9);
+            extra[TABLE_X] = x;
+            extra[TABLE_Y] = y;
+        }
+    }
+}
+
+/* ---- The pose that explains measured pieces (registration.py is the reference) ---- */
+
+#define UNKNOWNS 4
+#define ROBUST_STEPS 6
+#define TUKEY 4.7
+#define MAX_PIECES 4096
+
+static int invert(double a[UNKNOWNS][UNKNOWNS], double inverse[UNKNOWNS][UNKNOWNS])
+{
+    for (int i = 0; i < UNKNOWNS; i++)
+        for (int j = 0; j < UNKNOWNS; j++)
+            inverse[i][j] = i == j;
+    for (int i = 0; i < UNKNOWNS; i++) {
+        if (!(a[i][i] > 0.0))
+            return 0;
+        const double pivot = 1.0 / a[i][i];
+        for (int j = 0; j < UNKNOWNS; j++) {
+            a[i][j] *= pivot;
+            inverse[i][j] *= pivot;
+        }
+        for (int k = 0; k < UNKNOWNS; k++) {
+            if (k == i)
+                continue;
+            const double factor = a[k][i];
+            for (int j = 0; j < UNKNOWNS; j++) {
+                a[k][j] -= factor * a[i][j];
+                inverse[k][j] -= factor * inverse[i][j];
+            }
+        }
+    }
+    return 1;
+}
+
+/* The element that sorting would bring to place k; reorders the values. */
+static double nth(double *values, int n, int k)
+{
+    int low = 0, high = n - 1;
+    while (low < high) {
+        const double pivot = values[(low + high) / 2];
+        int i = low, j = high;
+        while (i <= j) {
+            while (values[i] < pivot)
+                i++;
+            while (values[j] > pivot)
+                j--;
+            if (i <= j) {
+                const double swap = values[i];
+                values[i++] = values[j];
+                values[j--] = swap;
+            }
+        }
+        if (k <= j)
+            high = j;
+        else if (k >= i)
+            low = i;
+        else
+            break;
+    }
+    return values[k];
+}
+
+/* `measured` holds distance (mm), sigma (mm) and valid of each piece; `changes` (outlines, 4), `covariances`
+ * (outlines, 4, 4) and `remaining` (pieces) are written. */
+void slabcell_solve(int outlines, const int64_t *starts, const double *extras, const double *measured, double prior,
+                    double *changes, double *covariances, double *remaining)
+{
+    static const double nothing[UNKNOWNS] = {0};
+    for (int o = 0; o < outlines; o++) {
+        const int64_t first = starts[o];
+        const int n = (int)(starts[o + 1] - first);
+        const double *row = extras + EXTRA_FIELDS * first, *given = measured + 3 * first;
+        double *left = remaining + first, *change = changes + UNKNOWNS * (ptrdiff_t)o;
+        double *covariance = covariances + UNKNOWNS * UNKNOWNS * (ptrdiff_t)o;
+        double weight[MAX_PIECES], sorted[MAX_PIECES];
+        double arm = 1.0, spread = 0.5;
+        double inverse[UNKNOWNS][UNKNOWNS];
+        memcpy(change, nothing, sizeof nothing);
+        memset(covariance, 0, sizeof inverse);
+        if (n > MAX_PIECES)
+            continue;
+        for (int i = 0; i < n; i++) {
+            arm = fmax(arm, fabs(row[EXTRA_FIELDS * i + ROW_TURN]));
+            weight[i] = given[3 * i + 2] > 0.5 ? 1.0 / (given[3 * i + 1] * given[3 * i + 1]) : 0.0;
+            left[i] = given[3 * i];
+        }
+        for (int step = 0; step < ROBUST_STEPS; step++) {
+            double normal[UNKNOWNS][UNKNOWNS] = {{0}}, right[UNKNOWNS] = {0};
+            for (int i = 0; i < n; i++) {
+                const double *r = row + EXTRA_FIELDS * i;
+                const double scaled[UNKNOWNS] = {r[ROW_X], r[ROW_Y], r[ROW_TURN] / arm, r[ROW_KERF]};
+                for (int p = 0; p < UNKNOWNS; p++) {
+                    const double w = weight[i] * scaled[p];
+                    right[p] += w * given[3 * i];
+                    for (int q = 0; q <= p; q++)
+                        normal[p][q] += w * scaled[q];
+                }
+            }
+            for (int p = 0; p < UNKNOWNS; p++) {
+                for (int q = 0; q < p; q++)
+                    normal[q][p] = normal[p][q];
+                normal[p][p] += prior;
+            }
+            if (!invert(normal, inverse))
+                break;
+            for (int p = 0; p < UNKNOWNS; p++) {
+                change[p] = 0.0;
+                for (int q = 0; q < UNKNOWNS; q++)
+                    change[p] += inverse[p][q] * right[q];
+            }
+            int usable = 0;
+            for (int i = 0; i < n; i++) {
+                const double *r = row + EXTRA_FIELDS * i;
+                left[i] = given[3 * i]
+                          - (r[ROW_X] * change[0] + r[ROW_Y] * change[1] + r[ROW_TURN] / arm * change[2] + change[3]);
+                if (given[3 * i + 2] > 0.5)
+                    sorted[usable++] = fabs(left[i]) / given[3 * i + 1];
+            }
+            spread = fmax((usable ? nth(sorted, usable, usable / 2 < usable ? usable / 2 : usable - 1) : 0.0) / 0.6745, 0.5);
+            const double cut = TUKEY * fmax(spread, 1.0);
+            for (int i = 0; i < n; i++) {
+                const double sigma = given[3 * i + 1], away = fabs(left[i]) / sigma / cut;
+                const double robust = fmax(1.0 - away * away, 0.0);
+                weight[i] = given[3 * i + 2] > 0.5 ? robust * robust / (sigma * sigma) : 0.0;
+            }
+        }
+        const double unscale[UNKNOWNS] = {1.0, 1.0, 1.0 / arm, 1.0}, chi = fmax(spread * spread, 1.0);
+        for (int p = 0; p < UNKNOWNS; p++) {
+            for (int q = 0; q < UNKNOWNS; q++)
+                covariance[UNKNOWNS * p + q] = inverse[p][q] * chi * unscale[p] * unscale[q];
+        }
+        for (int p = 0; p < UNKNOWNS; p++)
+            change[p] *= unscale[p];
+    }
 }
 
 #define PIXEL uint8_t

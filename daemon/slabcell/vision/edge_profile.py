@@ -10,6 +10,7 @@ This is the reference implementation, in NumPy; `kernel` runs the same in C wher
 """
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -36,24 +37,46 @@ SQRT_2_PI = float(np.sqrt(2.0 * np.pi))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeLines:
-    """Pieces of edge in a picture; arrays over pieces, pixels.
+    """Pieces of edge in a picture, in pixels: ``table`` (n, 7) holds the columns that the properties name."""
 
-    ``middle`` (n, 2), ``outward`` (n, 2) unit, ``half`` (n,) half the length, ``bend`` (n,) as in EdgePieces,
-    ``wall`` (n,) width of the visible wall outside of the edge.
-    """
+    table: Floats
 
-    middle: Points
-    outward: Points
-    half: Floats
-    bend: Floats
-    wall: Floats
+    @classmethod
+    def of(cls, middle: Points, outward: Points, half: Floats, bend: Floats, wall: Floats) -> Self:
+        """Return lines of these columns."""
+        return cls(np.ascontiguousarray(np.column_stack([middle, outward, half, bend, wall]), np.float64))
 
     def __len__(self) -> int:
-        return len(self.middle)
+        return len(self.table)
 
-    def select(self, which: npt.NDArray[np.intp]) -> "EdgeLines":
+    def select(self, which: npt.NDArray[np.intp]) -> Self:
         """Return only these pieces."""
-        return EdgeLines(self.middle[which], self.outward[which], self.half[which], self.bend[which], self.wall[which])
+        return type(self)(self.table[which])
+
+    @property
+    def middle(self) -> Points:
+        """Point on the edge, (n, 2)."""
+        return self.table[:, 0:2]
+
+    @property
+    def outward(self) -> Points:
+        """Unit normal out of the slab, (n, 2)."""
+        return self.table[:, 2:4]
+
+    @property
+    def half(self) -> Floats:
+        """Half the length, (n,)."""
+        return self.table[:, 4]
+
+    @property
+    def bend(self) -> Floats:
+        """The edge is at middle + t·tangent + bend·t²·outward, (n,)."""
+        return self.table[:, 5]
+
+    @property
+    def wall(self) -> Floats:
+        """Width of the visible wall outside of the edge, (n,)."""
+        return self.table[:, 6]
 
 
 @dataclass(frozen=True, slots=True)

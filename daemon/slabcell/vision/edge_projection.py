@@ -1,4 +1,7 @@
-"""Where in the picture are the edges of slabs expected?  Pieces of outlines, laid on the table."""
+"""Where in the picture are the edges of slabs expected?  Pieces of outlines, laid on the table.
+
+This is the reference implementation, in NumPy; `kernel` runs the same in C where that was compiled.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,12 +15,35 @@ from slabcell.vision.edges import EdgePieces
 from slabcell.vision.local_map import LocalMaps, derivatives, evaluate, map_locally, monomials
 from slabcell.vision.plane import PlaneView
 
-__all__ = ["Poses", "ProjectedEdges", "maps_of", "project_edges", "project_through"]
+__all__ = ["Outlines", "Poses", "ProjectedEdges", "maps_of", "project"]
 
 Floats = npt.NDArray[np.float64]
 
 # How far beyond an outline its map holds: the slab may lie that far from where it is expected.
 MARGIN_PX = 12.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outlines:
+    """Several outlines: ``pieces`` (n, 6) as in EdgePieces.table; ``starts`` (outlines + 1,) where each begins."""
+
+    pieces: Floats
+    starts: npt.NDArray[np.int64]
+
+    @classmethod
+    def of(cls, outlines: Sequence[EdgePieces]) -> "Outlines":
+        """Return these outlines together."""
+        starts = np.zeros(len(outlines) + 1, np.int64)
+        np.cumsum([len(item) for item in outlines], out=starts[1:])
+        return cls(np.concatenate([item.table for item in outlines]), starts)
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    @property
+    def owner(self) -> npt.NDArray[np.intp]:
+        """Index of the outline of each piece."""
+        return np.repeat(np.arange(len(self)), np.diff(self.starts))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,44 +62,59 @@ class Poses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProjectedEdges:
-    """Pieces of all outlines; arrays over pieces, those of one outline are neighbours.
+    """Pieces of all outlines as they are seen; arrays over pieces.
 
-    ``owner``: index of the outline.  ``lines``: the pieces in the picture.  ``outward`` (n, 2): normal on the table.
-    ``rows`` (n, 4): how far the piece moves outward per mm of x and y, per radian about the outline's middle and per mm
-    of kerf.  ``px_per_mm``: along the normal.  ``share``: of the outline's measurable length.  ``on_table`` (n, 2):
-    middles of the pieces, mm.
+    ``lines``: in the picture.  ``extras`` (n, 8): the columns that the properties name.
     """
 
-    owner: npt.NDArray[np.intp]
     lines: EdgeLines
-    outward: Points
-    rows: Floats
-    px_per_mm: Floats
-    share: Floats
-    on_table: Points
+    extras: Floats
 
+    @property
+    def rows(self) -> Floats:
+        """How far the piece moves outward per mm of x, of y, per radian about the outline's middle, per mm of kerf."""
+        return self.extras[:, 0:4]
 
-def project_edges(plane: PlaneView, outlines: Sequence[EdgePieces], poses: Poses) -> ProjectedEdges:
-    """Return the pieces of outlines as the camera sees them at these poses."""
-    return project_through(maps_of(plane, outlines, poses), outlines, poses, mirrored=plane.mirrored)
+    @property
+    def outward(self) -> Points:
+        """Normal on the table, (n, 2)."""
+        return self.extras[:, 0:2]
+
+    @property
+    def px_per_mm(self) -> Floats:
+        """Scale of the picture along the normal."""
+        return self.extras[:, 4]
+
+    @property
+    def share(self) -> Floats:
+        """Length over the measurable length of the outline."""
+        return self.extras[:, 5]
+
+    @property
+    def on_table(self) -> Points:
+        """Middle of the piece, mm, (n, 2)."""
+        return self.extras[:, 6:8]
 
 
 def maps_of(plane: PlaneView, outlines: Sequence[EdgePieces], poses: Poses) -> LocalMaps:
     """Return maps that hold where the outlines lie, and a little around."""
-    reach = [
-        float(np.hypot(*(item.middle - pivot).T).max(initial=0.0)) + float(item.half_mm.max(initial=0.0))
-        for item, pivot in zip(outlines, poses.pivot, strict=True)
-    ]
-    return map_locally(plane, poses.position, np.array(reach) + MARGIN_PX * plane.mm_per_px)
+    reach = np.array([item.reach_mm for item in outlines])
+    # The mean of the pieces is not the pivot: allow for the distance between both.
+    away = np.array(
+        [item.middle.mean(axis=0) if len(item) else pivot for item, pivot in zip(outlines, poses.pivot, strict=True)]
+    )
+    off = away - poses.pivot
+    return map_locally(plane, poses.position, reach + np.hypot(off[:, 0], off[:, 1]) + MARGIN_PX * plane.mm_per_px)
 
 
-def project_through(maps: LocalMaps, outlines: Sequence[EdgePieces], poses: Poses, *, mirrored: bool) -> ProjectedEdges:
-    """Return the pieces of outlines as they are seen through maps made for poses near these."""
-    owner = np.repeat(np.arange(len(outlines)), [len(item) for item in outlines])
-    middle = np.concatenate([item.middle for item in outlines])
-    tangent = np.concatenate([item.tangent for item in outlines])
-    half = np.concatenate([item.half_mm for item in outlines])
-    bend = np.concatenate([item.bend for item in outlines])
+def project(outlines: Outlines, maps: LocalMaps, poses: Poses, *, mirrored: bool) -> ProjectedEdges:
+    """Return the pieces as they are seen through maps made for poses near these.
+
+    ``mirrored``: counter-clockwise on the table is clockwise in pixel coordinates.
+    """
+    owner = outlines.owner
+    middle, tangent = outlines.pieces[:, 0:2], outlines.pieces[:, 2:4]
+    half, bend = outlines.pieces[:, 4], outlines.pieces[:, 5]
     cos, sin = np.cos(poses.rotation[owner]), np.sin(poses.rotation[owner])
     arm = _turn(middle - poses.pivot[owner], cos, sin)
     along = _turn(tangent, cos, sin)
@@ -102,14 +143,11 @@ def project_through(maps: LocalMaps, outlines: Sequence[EdgePieces], poses: Pose
     sag = np.sum(normal * (0.5 * (start + stop) - centre), axis=1)
     wall = np.maximum(np.sum(normal * (foot - centre), axis=1), 0.0)
     turn = outward[:, 1] * arm[:, 0] - outward[:, 0] * arm[:, 1]
+    per_mm = np.sum(normal * outwards, axis=1)
+    share = half / np.maximum(np.bincount(owner, half, minlength=len(outlines))[owner], 1e-9)
     return ProjectedEdges(
-        owner,
-        EdgeLines(centre, normal, 0.5 * length, sag / (0.25 * length**2), wall),
-        outward,
-        np.column_stack([outward, turn, np.ones(len(arm))]),
-        np.sum(normal * outwards, axis=1),
-        half / np.maximum(np.bincount(owner, half)[owner], 1e-9),
-        on_table,
+        EdgeLines.of(centre, normal, 0.5 * length, sag / (0.25 * length**2), wall),
+        np.column_stack([outward, turn, np.ones(len(arm)), per_mm, share, on_table]),
     )
 
 

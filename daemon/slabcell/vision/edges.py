@@ -1,6 +1,7 @@
 """Where on a slot's outline can its edge be measured?  Short pieces between the corners, straight or gently curved."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -22,7 +23,7 @@ FIT_POINTS = 9
 MAX_PIECES = 160
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class EdgePieces:
     """Pieces of an outline, all arrays over pieces, in the frame of the template (mm).
 
@@ -37,6 +38,19 @@ class EdgePieces:
 
     def __len__(self) -> int:
         return len(self.middle)
+
+    @cached_property
+    def table(self) -> Points:
+        """The columns middle, tangent, half_mm and bend beside each other, (n, 6)."""
+        return np.ascontiguousarray(np.column_stack([self.middle, self.tangent, self.half_mm, self.bend]))
+
+    @cached_property
+    def reach_mm(self) -> float:
+        """How far a piece is from the mean of all, at most."""
+        if len(self) == 0:
+            return 0.0
+        away = self.middle - self.middle.mean(axis=0)
+        return float(np.hypot(away[:, 0], away[:, 1]).max() + self.half_mm.max())
 
     def thinned(self, count: int) -> "EdgePieces":
         """Return about this many of the pieces, spread over the outline."""

@@ -19,8 +19,8 @@ from slabcell.calibration.model import Calibration
 from slabcell.geometry import RigidTransform2D
 from slabcell.recipe import Recipe
 from slabcell.vision.edge_profile import ProfileModel
-from slabcell.vision.edge_projection import Poses, ProjectedEdges, project_edges
-from slabcell.vision.kernel import measure_edges
+from slabcell.vision.edge_projection import Outlines, Poses, ProjectedEdges, maps_of
+from slabcell.vision.kernel import engine
 from slabcell.vision.locate import Locator
 from slabcell.vision.pixels import Grey, as_grey
 from slabcell.vision.registration import SIGMA_PX, WALL_RATIO
@@ -182,9 +182,11 @@ def _measure(
         np.zeros(count),
     )
     outlines = [locator.pieces[slot] for slot in filled]
-    edges = project_edges(locator.plane, outlines, nominal)
+    together, mirrored = Outlines.of(outlines), locator.plane.mirrored
+    maps, owner = maps_of(locator.plane, outlines, nominal), together.owner
+    edges = engine().project(together, maps, nominal, mirrored=mirrored)
     neighbour = _neighbours(locator, filled)
-    joints = _joints(grey, edges, nominal, neighbour, count, _table_level(grey, mask))
+    joints = _joints(grey, edges, owner, nominal, neighbour, _table_level(grey, mask))
     free = (neighbour < 0) & _is_free(mask, edges)
     # Prior knowledge keeps what nothing measures at its nominal place, with an honest uncertainty.
     known = np.append(np.tile([PRIOR_MM, PRIOR_MM, np.deg2rad(PRIOR_DEG)], count), PRIOR_KERF_MM)
@@ -199,8 +201,8 @@ def _measure(
             pivots,
             np.full(count, unknown[-1]),
         )
-        edges = project_edges(locator.plane, outlines, poses)
-        equations = joints.joined(_free_edges(grey, edges, free, unknown))
+        edges = engine().project(together, maps, poses, mirrored=mirrored)
+        equations = joints.joined(_free_edges(grey, edges, owner, free, unknown))
         unknown, covariance, remaining = _solve(equations, known)
     back = assembly_in_table.inverse().matrix
     result: dict[int, _Measured] = {}
@@ -277,7 +279,7 @@ def _table_level(grey: Grey, mask: Mask) -> float:
 
 def _is_free(mask: Mask, edges: ProjectedEdges) -> npt.NDArray[np.bool_]:
     """Return for each piece whether only table is seen outside of it, as far as the profile reaches."""
-    free = np.ones(len(edges.owner), np.bool_)
+    free = np.ones(len(edges.lines), np.bool_)
     for distance in FREE_PX:
         place = np.rint(edges.lines.middle + (edges.lines.wall + distance)[:, None] * edges.lines.outward).astype(int)
         inside = (place >= 0).all(axis=1) & (place[:, 0] < mask.shape[1]) & (place[:, 1] < mask.shape[0])
@@ -286,33 +288,41 @@ def _is_free(mask: Mask, edges: ProjectedEdges) -> npt.NDArray[np.bool_]:
     return free
 
 
-def _free_edges(grey: Grey, edges: ProjectedEdges, free: npt.NDArray[np.bool_], unknown: Floats) -> _Equations:
+def _free_edges(
+    grey: Grey, edges: ProjectedEdges, owner: npt.NDArray[np.intp], free: npt.NDArray[np.bool_], unknown: Floats
+) -> _Equations:
     """Return how far the free edges lie outside of where the current solution expects them, from nominal."""
     at = np.flatnonzero(free)
-    found = measure_edges(grey, edges.lines.select(at), ProfileModel(SIGMA_PX, REACH_PX, WALL_RATIO, 0.3))
+    found = engine().measure_edges(grey, edges.lines.select(at), ProfileModel(SIGMA_PX, REACH_PX, WALL_RATIO, 0.3))
     at = at[found.valid]
     rows = np.zeros((len(at), len(unknown)))
     number = np.arange(len(at))
     for column in range(3):
-        rows[number, 3 * edges.owner[at] + column] = edges.rows[at, column]
+        rows[number, 3 * owner[at] + column] = edges.rows[at, column]
     rows[:, -1] = 1.0
     return _Equations(
         rows,
         found.shift[found.valid] / edges.px_per_mm[at] + rows @ unknown,
         np.hypot(found.sigma[found.valid], FLOOR_PX) / edges.px_per_mm[at],
-        edges.owner[at],
+        owner[at],
     )
 
 
 def _joints(
-    grey: Grey, edges: ProjectedEdges, nominal: Poses, neighbour: npt.NDArray[np.intp], count: int, table: float
+    grey: Grey,
+    edges: ProjectedEdges,
+    owner: npt.NDArray[np.intp],
+    nominal: Poses,
+    neighbour: npt.NDArray[np.intp],
+    table: float,
 ) -> _Equations:
     """Return where joints run, which half of each neighbour's motion moves and kerf does not, and how wide they are."""
     at = np.flatnonzero(neighbour >= 0)
     model = ProfileModel(SIGMA_PX, JOINT_REACH_PX, WALL_RATIO, 0.3)
     seams = measure_seams(grey, edges.lines.select(at), model, table)
     at, valid = at[seams.valid], seams.valid
-    own, other = edges.owner[at], neighbour[at]
+    count = len(nominal.rotation)
+    own, other = owner[at], neighbour[at]
     arm = edges.on_table[at] - nominal.position[other]
     turn = edges.outward[at, 1] * arm[:, 0] - edges.outward[at, 0] * arm[:, 1]
     theirs = np.column_stack([edges.outward[at], turn])

@@ -39,7 +39,7 @@ class Seams:
 
 def measure_seams(grey: Grey, lines: EdgeLines, model: ProfileModel, table: float) -> Seams:
     """Return the line near each piece; ``table`` is the grey level of the table."""
-    flat = EdgeLines(lines.middle, lines.outward, lines.half, lines.bend, np.zeros(len(lines)))
+    flat = EdgeLines.of(lines.middle, lines.outward, lines.half, lines.bend, np.zeros(len(lines)))
     count, depth, level = collect_profiles(grey, flat, model)
     pieces = len(count)
     width = np.full(pieces, 1.2 * model.sigma_px)

@@ -7,8 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slabcell.vision import edge_profile, kernel
+from slabcell.vision import edge_profile, edge_projection, kernel, pose_solver
 from slabcell.vision.edge_profile import EdgeLines, ProfileModel
+from slabcell.vision.edge_projection import Outlines, Poses, maps_of
+from slabcell.vision.edges import cut_edges
+from slabcell.vision.local_map import LocalMaps
+from slabcell.vision.plane import PlaneView
+from slabcell.vision.pose_solver import Measured
+
+from .pictures import calibration, recipe
 
 pytestmark = pytest.mark.unit
 
@@ -28,7 +35,7 @@ def step_edge(angle_deg: float, offset_px: float, *, top: int = 1) -> tuple[np.n
 
     grey = 30 + 140 * ndtr(depth / 0.9) + np.random.default_rng(2).normal(0, 1.5, depth.shape)
     picture = np.clip(np.rint(grey * top), 0, 65535).astype(np.uint8 if top == 1 else np.uint16)
-    lines = EdgeLines(middle[None], outward[None], np.array([12.0]), np.zeros(1), np.zeros(1))
+    lines = EdgeLines.of(middle[None], outward[None], np.array([12.0]), np.zeros(1), np.zeros(1))
     return picture, lines
 
 
@@ -37,7 +44,7 @@ def many_lines(seed: int, count: int = 200) -> EdgeLines:
     angle = random.uniform(0, 2 * np.pi, count)
     middle = np.column_stack([random.uniform(-20, WIDTH + 20, count), random.uniform(-20, HEIGHT + 20, count)])
     wall = np.where(random.random(count) < 0.5, 0.0, random.uniform(0, 25, count))
-    return EdgeLines(
+    return EdgeLines.of(
         middle,
         np.column_stack([np.cos(angle), np.sin(angle)]),
         random.uniform(2, 14, count),
@@ -86,11 +93,13 @@ def test_the_kernel_survives_lines_that_are_no_lines():
     bad = np.array([np.nan, np.inf, -np.inf, 1e300, 0.0])
     grid = np.array(np.meshgrid(bad, bad, bad)).reshape(3, -1).T
     count = len(grid)
-    lines = EdgeLines(grid[:, :2], np.tile([1.0, 0.0], (count, 1)), grid[:, 2], np.zeros(count), np.zeros(count))
+    lines = EdgeLines.of(grid[:, :2], np.tile([1.0, 0.0], (count, 1)), grid[:, 2], np.zeros(count), np.zeros(count))
     assert not kernel.measure_edges(picture, lines, MODEL).valid.any()
-    lines = EdgeLines(np.tile([50.0, 50.0], (count, 1)), grid[:, :2], np.full(count, 9.0), grid[:, 2], np.zeros(count))
+    lines = EdgeLines.of(
+        np.tile([50.0, 50.0], (count, 1)), grid[:, :2], np.full(count, 9.0), grid[:, 2], np.zeros(count)
+    )
     assert kernel.measure_edges(picture, lines, MODEL).valid.shape == (count,)
-    lines = EdgeLines(
+    lines = EdgeLines.of(
         np.tile([50.0, 50.0], (count, 1)),
         np.tile([1.0, 0.0], (count, 1)),
         np.full(count, 9.0),
@@ -105,6 +114,75 @@ def test_the_kernel_compiles_without_a_warning(tmp_path: Path):
     source = Path(kernel.__file__).with_name("_kernel.c")
     command = ["cc", "-std=c11", "-O2", "-fPIC", "-shared", "-Wall", "-Wextra", "-Werror"]
     subprocess.run([*command, "-o", str(tmp_path / "k.so"), str(source), "-lm"], check=True, timeout=60)
+
+
+def placed(seed: int, *, height_mm: float) -> tuple[Outlines, LocalMaps, Poses, PlaneView]:
+    plane = PlaneView(calibration(), height_mm)
+    product = recipe()
+    outlines = [cut_edges(slot, plane.mm_per_px) for slot in product.template.slots]
+    pivots = np.array([slot.centroid for slot in product.template.slots])
+    random = np.random.default_rng(seed)
+    count = len(pivots)
+    poses = Poses(
+        random.uniform(-3, 3, count), random.uniform(-120, 120, (count, 2)), pivots, random.normal(0, 0.3, count)
+    )
+    return Outlines.of(outlines), maps_of(plane, outlines, poses), poses, plane
+
+
+@pytest.mark.parametrize("height_mm", [0.0, 12.0])
+def test_the_maps_of_small_parts_agree_with_the_lens_model(height_mm: float):
+    outlines, maps, poses, plane = placed(3, height_mm=height_mm)
+    edges = edge_projection.project(outlines, maps, poses, mirrored=plane.mirrored)
+    assert edges.lines.middle == pytest.approx(plane.to_pixels(edges.on_table), abs=1e-3)
+    beside = plane.to_pixels(edges.on_table + 0.01 * edges.outward) - plane.to_pixels(edges.on_table)
+    assert np.sum(beside * edges.lines.outward, axis=1) / 0.01 == pytest.approx(edges.px_per_mm, rel=1e-3)
+    foot = plane.calibration.image_from_table(edges.on_table, 0.0)
+    width = np.maximum(np.sum((foot - edges.lines.middle) * edges.lines.outward, axis=1), 0.0)
+    assert edges.lines.wall == pytest.approx(width, abs=2e-3)
+
+
+@compiled
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_the_kernel_projects_as_the_reference_does(mirrored: bool):
+    outlines, maps, poses, _ = placed(4, height_mm=12.0)
+    reference = edge_projection.project(outlines, maps, poses, mirrored=mirrored)
+    native = kernel.NativeEngine().project(outlines, maps, poses, mirrored=mirrored)
+    assert native.lines.table == pytest.approx(reference.lines.table, abs=1e-8)
+    assert native.extras == pytest.approx(reference.extras, abs=1e-8)
+
+
+def measured(seed: int, *, lost: float) -> Measured:
+    """Return pieces that a known motion explains, with noise, gross errors and lost ones."""
+    outlines, maps, poses, plane = placed(seed, height_mm=0.0)
+    extras = edge_projection.project(outlines, maps, poses, mirrored=plane.mirrored).extras
+    random = np.random.default_rng(seed)
+    motion = np.array([0.3, -0.2, 0.004, 0.1])
+    distance = extras[:, :4] @ motion + random.normal(0, 0.01, len(extras))
+    wrong = random.random(len(extras)) < 0.1
+    distance[wrong] += random.uniform(1, 4, np.count_nonzero(wrong))
+    valid = random.random(len(extras)) >= lost
+    return Measured(outlines.starts, extras, distance, np.full(len(extras), 0.01), valid)
+
+
+def test_the_solver_finds_a_motion_among_gross_errors():
+    solution = pose_solver.solve(measured(5, lost=0.1), 0.01)
+    assert solution.change == pytest.approx(np.tile([0.3, -0.2, 0.004, 0.1], (5, 1)), abs=0.015)
+
+
+@compiled
+@pytest.mark.parametrize("lost", [0.0, 0.3, 1.0])
+def test_the_kernel_solves_as_the_reference_does(lost: float):
+    given = measured(6, lost=lost)
+    reference, native = pose_solver.solve(given, 0.04), kernel.NativeEngine().solve(given, 0.04)
+    assert native.change == pytest.approx(reference.change, abs=1e-9)
+    assert native.remains == pytest.approx(reference.remains, abs=1e-9)
+    assert native.covariance == pytest.approx(reference.covariance, rel=1e-6, abs=1e-12)
+
+
+def test_a_library_that_is_no_kernel_is_refused(tmp_path: Path):
+    (tmp_path / "k.so").write_bytes(b"not a library")
+    with pytest.raises(OSError, match=r"k\.so"):
+        kernel.NativeEngine(tmp_path / "k.so")
 
 
 def test_without_the_kernel_the_reference_is_used_and_said(tmp_path: Path):
