@@ -1,7 +1,7 @@
 """How fast are the robot's telegrams: to read, to write, and as question and answer over TCP loopback?
 
-``python benchmarks/eki_link.py`` prints medians.  The peer is the XML parser of the standard library alone (`xml.etree.ElementTree`), which reads the
-same bytes without types, bounds or sums.
+``python benchmarks/eki_link.py`` prints medians.  The peer is the XML parser of the standard library alone
+(`xml.etree.ElementTree`), which reads the same bytes without types, bounds or sums.
 """
 
 import asyncio
