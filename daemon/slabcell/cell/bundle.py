@@ -1,52 +1,47 @@
 """How is a cycle kept, so that it can be looked at and run again?  One zip file: picture, parameters, result, record.
 
-Written by a thread of its own, outside of the way from trigger to answer; a bundle appears complete or not at all.
-What cannot be written is counted and reported: it never stops the cell.
-
 ========================  ==============================================================================
 ``manifest.json``         ``slabcell.bundle/1``: cycle, times, versions, and the names of the other files
+``cell.json``             arm, tool, bases and areas
 ``frame.png``             the picture, lossless
 ``recipe.json``           template and parameters as they were used
 ``calibration.json``      ``slabcell.calibration/1``
 ``result.json``           ``slabcell.locate/1``
 ``ledger.json``           what the ledger holds of the job when the cycle ended
 ``transcript.json``       the requests of the robot and the answers to them
+``as-built.*``            with a verification: how the slabs lie, as JSON, CSV and picture
 ========================  ==============================================================================
 """
 
 from __future__ import annotations
 
-import asyncio
 import json
-import os
+import math
 import platform
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from datetime import UTC, datetime
 from importlib.metadata import version
 from io import BytesIO
-from pathlib import Path
 
 import cv2
 import numpy as np
-import structlog
+import numpy.typing as npt
 
 from slabcell.calibration.file import to_document as calibration_document
 from slabcell.calibration.model import Calibration
+from slabcell.cell.asbuilt import AsBuilt
 from slabcell.cell.events import CycleRecord
-from slabcell.cell.executor import end_executor
+from slabcell.cell.settings import CellSettings
 from slabcell.recipe import Recipe
+from slabcell_drivers.robot.arm import ArmModel
 
-__all__ = ["SCHEMA", "BundleWriter", "bundle_bytes", "recipe_document"]
+__all__ = ["SCHEMA", "BundleContext", "bundle_bytes", "cell_document", "recipe_document"]
 
 SCHEMA = "slabcell.bundle/1"
-MAX_WAITING = 8
-"""Bundles that may wait for the disk: each holds a picture in memory."""
-
 PNG_LEVEL = 1  # the picture is noise to the compressor: a higher level costs time and gains little
 
+Pixels = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 Rows = Mapping[str, Sequence[Mapping[str, object]]]
 
 
@@ -64,21 +59,54 @@ def recipe_document(recipe: Recipe) -> dict[str, object]:
         "segmentation": recipe.segmentation.model_dump(mode="json"),
         "matching": recipe.matching.model_dump(mode="json"),
         "grasp": recipe.grasp.model_dump(mode="json"),
+        "gates": recipe.gates.model_dump(mode="json"),
     }
 
 
-def bundle_bytes(
-    cycle: CycleRecord, pixels: np.ndarray | None, recipe: Recipe, calibration: Calibration, rows: Rows, created: str
-) -> bytes:
+def cell_document(settings: CellSettings, arm: ArmModel) -> dict[str, object]:
+    """Return what of the cell decides on the poses."""
+    return {
+        "schema": "slabcell.cell/1",
+        "arm": arm.name,
+        "pick_base": settings.pick_base.as_tuple(),
+        "place_base": settings.place_base.as_tuple(),
+        "tool": settings.tool.as_tuple(),
+        "pick_area": settings.pick_area.vertices.tolist(),
+        "forbidden": [zone.vertices.tolist() for zone in settings.forbidden],
+        "gripper_radius_mm": settings.gripper_radius_mm,
+        "approach_mm": settings.approach_mm,
+        "tolerance_mm": settings.tolerance_mm,
+        "tolerance_deg": settings.tolerance_deg,
+    }
+
+
+class BundleContext:
+    """What is the same in every bundle of a run, made once."""
+
+    def __init__(self, recipe: Recipe, calibration: Calibration, settings: CellSettings, arm: ArmModel) -> None:
+        self.recipe = recipe
+        self.settings = settings
+        self.files = {
+            "recipe.json": _json(recipe_document(recipe)),
+            "calibration.json": _json(calibration_document(calibration)),
+            "cell.json": _json(cell_document(settings, arm)),
+        }
+
+
+def bundle_bytes(cycle: CycleRecord, pixels: Pixels | None, context: BundleContext, rows: Rows, created: str) -> bytes:
     """Return the zip file of one cycle."""
-    files: dict[str, bytes] = {
-        "recipe.json": _json(recipe_document(recipe)),
-        "calibration.json": _json(calibration_document(calibration)),
+    files = {
+        **context.files,
         "ledger.json": _json({"schema": "slabcell.ledger/1", **rows}),
         "transcript.json": _json(cycle.transcript),
     }
     if cycle.result is not None:
         files["result.json"] = _json(cycle.result.to_document("frame.png"))
+    if cycle.verification and cycle.placements:
+        report = AsBuilt.of(context.recipe.template.slots, cycle.placements, context.settings)
+        files["as-built.json"] = _json(report.to_document(cycle.job_id, context.recipe.name))
+        files["as-built.csv"] = report.to_csv().encode()
+        files["as-built.svg"] = report.to_svg().encode()
     if pixels is not None:
         encoded, png = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL])
         if not encoded:
@@ -96,15 +124,25 @@ def bundle_bytes(
         "code": cycle.code,
         "message": cycle.message,
         "free_slots": list(cycle.free_slots),
+        "laid_slots": list(cycle.laid_slots),
         "timing_ms": {stage: round(value, 3) for stage, value in cycle.times_ms.items()},
         "refused": [{"slot": item.slot, "number": int(item.fault), "detail": item.detail} for item in cycle.refused],
-        "offers": [{**asdict(offer), "state": offer.state.value} for offer in cycle.offers],
-        "placements": [asdict(item) for item in cycle.placements],
+        "offers": [
+            {
+                "result_id": offer.result_id,
+                "slot": offer.slot,
+                "score": offer.score,
+                "pick": offer.pick.as_tuple(),
+                "place": offer.place.as_tuple(),
+            }
+            for offer in cycle.offers
+        ],
+        "placements": [_finite(asdict(item)) for item in cycle.placements],
         "versions": {
             "slabcell": version("slabcell"),
             "python": platform.python_version(),
             "numpy": version("numpy"),
-            "opencv": cv2.__version__,
+            "opencv": version("opencv-python-headless"),
         },
         "files": sorted(files),
     }
@@ -116,64 +154,12 @@ def bundle_bytes(
     return stream.getvalue()
 
 
+def _finite(values: dict[str, object]) -> dict[str, object]:
+    """Write what could not be measured as null: JSON knows no NaN."""
+    return {
+        key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in values.items()
+    }
+
+
 def _json(value: object) -> bytes:
-    return (json.dumps(value, indent=1, allow_nan=True) + "\n").encode()
-
-
-class BundleWriter:
-    """Keeps bundles in a directory, which it creates.  ``failed`` is told why one could not be kept."""
-
-    def __init__(self, directory: Path, *, failed: Callable[[str], None] | None = None) -> None:
-        self.directory = directory
-        self.failed = failed
-        self.dropped = 0
-        self._waiting = 0
-        self._writer = ThreadPoolExecutor(1, thread_name_prefix="slabcell-bundle")
-        self._log = structlog.stdlib.get_logger("slabcell.bundle")
-
-    def keep(self, cycle: CycleRecord, recipe: Recipe, calibration: Calibration, rows: Rows) -> None:
-        """Have a finished cycle written; returns at once.  Called in the event loop."""
-        if self._waiting >= MAX_WAITING:
-            self.dropped += 1
-            self._report(f"{self._waiting} bundles wait for the disk; {self.dropped} not kept so far")
-            return
-        created = datetime.now(UTC)
-        kind = "verification" if cycle.verification else "cycle"
-        name = f"{created:%Y%m%dT%H%M%S}.{created.microsecond // 1000:03d}Z_job{cycle.job_id}"
-        path = self.directory / f"{name}_{cycle.session}-{cycle.trigger_sequence}_{kind}.zip"
-        pixels = cycle.frame.pixels if cycle.frame is not None else None
-
-        def write() -> None:
-            content = bundle_bytes(cycle, pixels, recipe, calibration, rows, created.isoformat(timespec="milliseconds"))
-            self.directory.mkdir(parents=True, exist_ok=True)
-            temporary = path.with_suffix(".part")
-            try:
-                with temporary.open("wb") as stream:
-                    stream.write(content)
-                    stream.flush()
-                    os.fsync(stream.fileno())
-                temporary.replace(path)
-            except BaseException:
-                temporary.unlink(missing_ok=True)
-                raise
-
-        self._waiting += 1
-        future = asyncio.get_running_loop().run_in_executor(self._writer, write)
-        future.add_done_callback(self._written)
-
-    def _written(self, future: asyncio.Future[None]) -> None:
-        self._waiting -= 1
-        error = future.exception()
-        if error is not None:
-            self.dropped += 1
-            self._report(f"{self.directory}: {type(error).__name__}: {error}")
-
-    def _report(self, detail: str) -> None:
-        self._log.warning("bundle not kept", detail=detail)
-        if self.failed is not None:
-            self.failed(detail)
-
-    async def close(self) -> None:
-        """Wait for what is being written, and end the thread; may be called twice."""
-        await end_executor(self._writer)
-        await asyncio.sleep(0)  # lets the callbacks of the last bundles run
+    return (json.dumps(value, indent=1, allow_nan=False) + "\n").encode()

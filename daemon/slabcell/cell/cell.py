@@ -14,10 +14,13 @@ from collections.abc import Callable
 
 import structlog
 
+from slabcell.calibration.file import from_document as calibration_from_document
+from slabcell.calibration.file import to_document as calibration_to_document
 from slabcell.calibration.model import Calibration
 from slabcell.catalogue import Fault, entry
 from slabcell.cell.alarms import Alarms
-from slabcell.cell.bundle import BundleWriter
+from slabcell.cell.bundle import BundleContext
+from slabcell.cell.bundle_store import BundleWriter
 from slabcell.cell.conversation import Conversation
 from slabcell.cell.cycles import Cycles
 from slabcell.cell.desk import JobDesk
@@ -60,6 +63,8 @@ class Cell:
         eyes: Eyes | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        # What is computed with is what a bundle holds, to the last bit: the way arrays lie in memory changes rounding.
+        calibration = calibration_from_document(calibration_to_document(calibration), "the calibration")
         self.recipe = recipe
         self.settings = settings
         self.alarms = Alarms(self._emit)
@@ -68,7 +73,7 @@ class Cell:
         self._machine = StateMachine(lambda before, after, cause: self._emit(StateChanged(before, after, cause)))
         self._desk = JobDesk(ledger, recipe, self._emit)
         self._cycles = Cycles(
-            *(ledger, recipe, calibration, bundles),
+            *(ledger, BundleContext(recipe, calibration, settings, arm) if bundles else None, bundles),
             emit=self._emit,
             failed=lambda detail: self.alarms.come(Fault.BUNDLE_UNWRITABLE, detail),
         )

@@ -7,12 +7,11 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict
 
-from slabcell.calibration.model import Calibration
-from slabcell.cell.bundle import BundleWriter
+from slabcell.cell.bundle import BundleContext
+from slabcell.cell.bundle_store import BundleWriter
 from slabcell.cell.events import CycleEnded, CycleRecord, Event
 from slabcell.cell.ledger import Ledger
 from slabcell.errors import SlabcellError
-from slabcell.recipe import Recipe
 from slabcell_drivers.robot.protocol import Answer, Request
 
 __all__ = ["Cycles"]
@@ -28,8 +27,7 @@ class Cycles:
     def __init__(
         self,
         ledger: Ledger,
-        recipe: Recipe,
-        calibration: Calibration,
+        context: BundleContext | None,
         bundles: BundleWriter | None,
         *,
         emit: Callable[[Event], None],
@@ -38,8 +36,7 @@ class Cycles:
         self.records: deque[CycleRecord] = deque(maxlen=KEPT_RECORDS)
         self.present: CycleRecord | None = None
         self._ledger = ledger
-        self._recipe = recipe
-        self._calibration = calibration
+        self._context = context
         self._bundles = bundles
         self._emit = emit
         self._failed = failed
@@ -71,10 +68,10 @@ class Cycles:
                     cycle.transcript.append({"request": asdict(request), "answer": asdict(answer)})
         for cycle in self._ended:
             self._emit(CycleEnded(cycle))
-            if self._bundles is None:
+            if self._bundles is None or self._context is None:
                 cycle.frame = None
             else:
-                task = asyncio.create_task(self._keep(cycle, self._bundles), name="slabcell-keep")
+                task = asyncio.create_task(self._keep(cycle, self._bundles, self._context), name="slabcell-keep")
                 self._keeping.add(task)
                 task.add_done_callback(self._keeping.discard)
         self._ended.clear()
@@ -85,11 +82,11 @@ class Cycles:
         if self._bundles is not None:
             await self._bundles.close()
 
-    async def _keep(self, cycle: CycleRecord, bundles: BundleWriter) -> None:
+    async def _keep(self, cycle: CycleRecord, bundles: BundleWriter, context: BundleContext) -> None:
         try:
             rows = await self._ledger.run(lambda book: book.excerpt(cycle.job_id))
         except SlabcellError as error:
             self._failed(str(error))
             return
-        bundles.keep(cycle, self._recipe, self._calibration, rows)
+        bundles.keep(cycle, context, rows)
         cycle.frame = None  # pictures are large: the record stays, the picture is in the bundle

@@ -49,6 +49,7 @@ class CycleRecord:
     offers: tuple[OfferRecord, ...] = ()
     placements: tuple[PlacementRecord, ...] = ()
     free_slots: tuple[int, ...] = ()
+    laid_slots: tuple[int, ...] = ()
     transcript: list[dict[str, object]] = field(default_factory=list[dict[str, object]])
 
 

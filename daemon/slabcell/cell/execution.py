@@ -84,7 +84,7 @@ class Execution:
         frame = await self._looking.acquire(cycle)
         self._alarms.cease(*CAMERA_FAULTS)
         slots = await self._desk.slots(self._settings.attempts_per_slot)
-        cycle.free_slots = slots.free
+        cycle.free_slots, cycle.laid_slots = slots.free, slots.laid
         if len(slots.laid) == job.slots:
             return await self._verify(cycle, frame, slots.laid)
         if not slots.free:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import asyncio
 import sqlite3
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import astuple
@@ -22,7 +22,7 @@ from typing import TypeVar, cast
 
 from slabcell.catalogue import Fault
 from slabcell.cell.records import STEPS, Job, JobState, OfferRecord, OfferState, Pair, PlacementRecord
-from slabcell.cell.schema import MIGRATIONS
+from slabcell.cell.schema import MIGRATIONS, TABLES
 from slabcell.errors import SlabcellError
 from slabcell_drivers.robot.frame import Frame
 
@@ -30,6 +30,9 @@ __all__ = ["Ledger", "LedgerError", "LedgerFile"]
 
 APPLICATION_ID = 0x736C6162  # "slab": tells our file from any other SQLite file
 BUSY_TIMEOUT_S = 2.0
+
+_DAMAGE = (sqlite3.Error, UnicodeDecodeError)
+"""What a damaged file can raise: damaged names within SQLite's own messages are no UTF-8."""
 
 _T = TypeVar("_T")
 _O = OfferState
@@ -57,6 +60,8 @@ class LedgerFile:
         except sqlite3.Error as error:
             msg = f"{path}: cannot be opened: {error}; check that the directory exists and may be written"
             raise LedgerError(msg, number=Fault.LEDGER_UNWRITABLE) from error
+        # Damaged text must not be another exception than damaged pages: it is shown as it is.
+        self._db.text_factory = _readable
         try:
             self._prepare()
         except BaseException:
@@ -89,7 +94,7 @@ class LedgerFile:
                         self._db.execute(statement)
                     self._db.execute(f"PRAGMA application_id={APPLICATION_ID}")
                     self._db.execute(f"PRAGMA user_version={step}")
-        except sqlite3.DatabaseError as error:
+        except _DAMAGE as error:
             raise _named(self.path, error) from error
 
     def close(self) -> None:
@@ -106,14 +111,14 @@ class LedgerFile:
         except BaseException as error:
             if self._db.in_transaction:  # SQLite itself rolls back after some errors (full disk, I/O), not after all
                 self._db.execute("ROLLBACK")
-            if isinstance(error, sqlite3.Error):
+            if isinstance(error, _DAMAGE):
                 raise _named(self.path, error) from error
             raise
 
     def _rows(self, query: str, *values: object) -> list[tuple[object, ...]]:
         try:
             return self._db.execute(query, values).fetchall()
-        except sqlite3.Error as error:
+        except _DAMAGE as error:
             raise _named(self.path, error) from error
 
     def new_session(self, cause: str) -> int:
@@ -245,12 +250,19 @@ class LedgerFile:
 
     def offer(self, result_id: int) -> OfferRecord | None:
         """Return one result."""
-        rows = self._rows(f"{_OFFERS} WHERE result_id = ?", result_id)
-        return _offer(rows[0]) if rows else None
+        offers = self._offers(f"{_OFFERS} WHERE result_id = ?", result_id)
+        return offers[0] if offers else None
 
     def offers(self, job_id: int) -> list[OfferRecord]:
         """Return the results of a job in the order of their ids."""
-        return [_offer(row) for row in self._rows(f"{_OFFERS} WHERE job_id = ? ORDER BY result_id", job_id)]
+        return self._offers(f"{_OFFERS} WHERE job_id = ? ORDER BY result_id", job_id)
+
+    def _offers(self, query: str, value: int) -> list[OfferRecord]:
+        try:
+            return [_offer(row) for row in self._rows(query, value)]
+        except (ValueError, TypeError) as error:
+            msg = f"{self.path}: is damaged: a result cannot be read: {error}; keep the file, and restore a copy"
+            raise LedgerError(msg, number=Fault.LEDGER_DAMAGED) from error
 
     def record_placements(self, job_id: int, placements: Sequence[PlacementRecord]) -> None:
         """Write how the slabs of a job lie."""
@@ -262,9 +274,9 @@ class LedgerFile:
             )
 
     def rows(self, table: str, job_id: int | None = None) -> list[dict[str, object]]:
-        """Return the rows of ``jobs``, ``cycles``, ``offers``, ``acknowledgements`` or ``placements`` as they stand."""
-        if table not in _TABLES:
-            msg = f"the ledger has no table {table!r}; it has {', '.join(_TABLES)}"
+        """Return the rows of a table as they stand, of one job if the table knows of jobs."""
+        if table not in TABLES:
+            msg = f"the ledger has no table {table!r}; it has {', '.join(TABLES)}"
             raise LedgerError(msg, number=Fault.LEDGER_ERROR)
         where = "" if job_id is None else " WHERE job_id = ?"
         if table == "acknowledgements" and job_id is not None:
@@ -276,20 +288,46 @@ class LedgerFile:
             )
             names = [column[0] for column in cursor.description]
             return [dict(zip(names, row, strict=True)) for row in cursor.fetchall()]
-        except sqlite3.Error as error:
+        except _DAMAGE as error:
             raise _named(self.path, error) from error
+
+    def counters(self) -> dict[str, int]:
+        """Return the largest id that each table ever gave."""
+        rows = self._rows("SELECT name, seq FROM sqlite_sequence ORDER BY name")
+        return {str(name): cast("int", largest) for name, largest in rows}
+
+    def fill(self, tables: Mapping[str, list[dict[str, object]]], counters: Mapping[str, int]) -> None:
+        """Write rows and counters of an export into a ledger that is still empty, in one transaction."""
+        with self._transaction():
+            for table in TABLES:
+                known = {str(row[1]) for row in self._db.execute(f"PRAGMA table_info({table})")}
+                for row in tables[table]:
+                    if set(row) != known:
+                        msg = f"a row of {table} has the columns {', '.join(row)}, not {', '.join(sorted(known))}"
+                        raise ValueError(msg)
+                    names = ", ".join(row)  # checked against the table's own names
+                    marks = ", ".join("?" * len(row))
+                    self._db.execute(f"INSERT INTO {table} ({names}) VALUES ({marks})", tuple(row.values()))  # noqa: S608
+            for table, largest in counters.items():
+                if table not in TABLES:
+                    msg = f"there is no table {table!r}"
+                    raise ValueError(msg)
+                self._db.execute("DELETE FROM sqlite_sequence WHERE name = ?", (table,))
+                self._db.execute("INSERT INTO sqlite_sequence (name, seq) VALUES (?, ?)", (table, int(largest)))
 
     def excerpt(self, job_id: int) -> dict[str, list[dict[str, object]]]:
         """Return the rows of every table that belong to a job."""
-        return {table: self.rows(table, job_id) for table in _TABLES if table != "sessions"}
+        return {table: self.rows(table, job_id) for table in TABLES if table != "sessions"}
 
-
-_TABLES = ("jobs", "cycles", "offers", "acknowledgements", "placements", "sessions")
 
 _OFFERS = (
     "SELECT result_id, job_id, cycle_id, idx, slot, state, score, pick_x, pick_y, pick_z, pick_a, pick_b, pick_c,"
     " place_x, place_y, place_z, place_a, place_b, place_c, reason, fault FROM offers"
 )
+
+
+def _readable(raw: bytes) -> str:
+    return raw.decode("utf-8", errors="replace")
 
 
 def _offer(row: tuple[object, ...]) -> OfferRecord:
@@ -309,7 +347,7 @@ def _job(row: tuple[object, ...]) -> Job:
     return Job(job_id, robot_job, recipe, sha, slots, JobState(state))
 
 
-def _named(path: Path, error: sqlite3.Error) -> LedgerError:
+def _named(path: Path, error: Exception) -> LedgerError:
     """Return the error as a person needs it: full disk, read-only, damaged, in use, or something else."""
     name = getattr(error, "sqlite_errorname", "")
     if name.startswith("SQLITE_FULL"):
@@ -318,9 +356,10 @@ def _named(path: Path, error: sqlite3.Error) -> LedgerError:
         return LedgerError(
             f"{path}: cannot be written ({name}: {error}); check disk and permissions", number=Fault.LEDGER_UNWRITABLE
         )
-    if name.startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB")):
+    if name.startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB")) or isinstance(error, UnicodeDecodeError):
         return LedgerError(
-            f"{path}: is damaged ({name}: {error}); keep the file, and restore a copy", number=Fault.LEDGER_DAMAGED
+            f"{path}: is damaged ({name or 'text'}: {error}); keep the file, and restore a copy",
+            number=Fault.LEDGER_DAMAGED,
         )
     if name.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
         return LedgerError(

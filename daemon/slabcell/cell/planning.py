@@ -1,9 +1,9 @@
 """Which parts can the robot lay, in which order, and with which poses?  Between the vision and the ledger.
 
-Both poses of a pair are the tool centre point with its Z axis down (B 0, C 180).  The tool's own direction is free, as
-long as it is the same on the part at both ends, and a part that looks alike after a turn may be laid turned: both are
-chosen so that the wrist turns least.  A picture from above knows no heights: slabs of one thickness never hinder a tool
-that touches their upper faces, and everything else that may stand in the way has to be a forbidden zone.
+Both poses of a pair are the tool centre point with its Z axis down (B 0, C 180).  The direction of a round tool is
+free, as long as it is the same on the part at both ends, and a part that looks alike after a turn may be laid turned:
+both are chosen so that the wrist turns least.  A picture from above knows no heights: slabs of one thickness never
+hinder a tool that touches their upper faces, and everything else that may stand in the way has to be a forbidden zone.
 """
 
 import math
@@ -76,6 +76,10 @@ class Planner:
         self._pick_base, self._place_base = settings.pick_base.matrix, settings.place_base.matrix
         self._from_tcp = np.linalg.inv(settings.tool.matrix)
         x, y, _, _, b, c = settings.tool.as_tuple()
+        # Several cups, or one beside the tool's axis, stand on the slab as the vision has chosen, and in no other way.
+        free = list(recipe.grasp.cups_mm) == [(0.0, 0.0)]
+        self._turns_deg = TOOL_TURNS_DEG if free else (0.0,)
+        self._few_turns_deg = FEW_TURNS_DEG if free else (0.0,)
         self._straight = math.hypot(x, y) < STRAIGHT_MM and math.hypot(b, c) < STRAIGHT_DEG
         self._zones = [(zone.shape, zone.shape.buffer(settings.gripper_radius_mm)) for zone in settings.forbidden]
 
@@ -124,7 +128,7 @@ class Planner:
         if self._straight:
             options = [
                 (self._wrist_travel(axes, turn, wrist_deg), turn, place)
-                for (axes, place), turn in product(self._reached(part.pick, places), TOOL_TURNS_DEG)
+                for (axes, place), turn in product(self._reached(part.pick, places), self._turns_deg)
             ]
             (_, last), turn, place = min(options, key=lambda option: (option[0][0], abs(option[1])))
         else:
@@ -158,7 +162,7 @@ class Planner:
 
     def _first_reached(self, part: LocatedPart, places: list[PlanarPose]) -> tuple[float, PlanarPose, float]:
         problem: ArmError | None = None
-        for turn, place in product(FEW_TURNS_DEG, places):
+        for turn, place in product(self._few_turns_deg, places):
             try:
                 (axes, _), *_ = self._reached(_turned(part.pick, turn), [_turned(place, turn)])
             except ArmError as error:

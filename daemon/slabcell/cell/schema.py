@@ -3,7 +3,10 @@
 A step that was released is never edited: a change is one more step at the end.
 """
 
-__all__ = ["MIGRATIONS"]
+__all__ = ["MIGRATIONS", "TABLES"]
+
+TABLES = ("sessions", "jobs", "cycles", "offers", "acknowledgements", "placements")
+"""In the order in which they refer to each other."""
 
 _V1 = (
     """CREATE TABLE sessions (

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from slabcell.calibration.model import Calibration, CameraIdentity, Lens, TablePlane
-from slabcell.cell.bundle import BundleWriter
+from slabcell.cell.bundle_store import BundleWriter, Retention
 from slabcell.cell.cell import Cell
 from slabcell.cell.ledger import Ledger
 from slabcell.cell.records import PlacementRecord
@@ -193,6 +193,7 @@ class Bench:
         self.settings = make_settings()
         self.recipe = make_recipe()
         self.bundles = False
+        self.retention: Retention | None = None
         self.events: list[Any] = []
 
     def clock(self) -> float:
@@ -208,7 +209,7 @@ class Bench:
             arm=KR3_R540,
             settings=self.settings,
             ledger=self.ledger,
-            bundles=BundleWriter(self.folder / "bundles") if self.bundles else None,
+            bundles=BundleWriter(self.folder / "bundles", retention=self.retention) if self.bundles else None,
             eyes=self.eyes,
             clock=self.clock,
         )
