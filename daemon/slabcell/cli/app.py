@@ -18,8 +18,11 @@ __all__ = ["main"]
 # Verb -> (module, its typer app or command function, one line of help).
 VERBS: Final[dict[str, tuple[str, str, str]]] = {
     "demo": ("slabcell.cli.demo", "demo_command", "Run the whole cell, simulated, and measure what it laid."),
+    "run": ("slabcell.cli.run", "run_command", "Run the cell as a daemon."),
     "locate": ("slabcell.cli.locate", "locate_command", "Find the slabs on image files, and the slot of each."),
     "calibrate": ("slabcell.cli.calibrate", "calibrate_app", "Make a calibration from images of a board."),
+    "ledger": ("slabcell.cli.ledger", "ledger_app", "Show, export and settle the record of offers."),
+    "replay": ("slabcell.cli.replay", "replay_command", "Run recorded cycles again and compare."),
     "template": ("slabcell.cli.template", "template_app", "Check and draw a template."),
     "camera": ("slabcell.cli.camera", "camera_app", "Find, set and test cameras."),
     "sim": ("slabcell.cli.sim", "sim_app", "Run devices in software."),

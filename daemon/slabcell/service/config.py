@@ -6,13 +6,14 @@ Configuration is of one cell; a calibration is of one camera in one place; a rec
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from slabcell.errors import ConfigurationError
 from slabcell.service.krl_config import KrlConfig
 from slabcell.toml_file import TomlTable, read_toml
+from slabcell_drivers.camera.settings import CameraSettings
 from slabcell_drivers.robot import Frame
 
 __all__ = ["CameraConfig", "CellConfig", "EkiConfig", "FrameConfig", "RobotConfig", "TableConfig", "load_config"]
@@ -45,11 +46,50 @@ class FrameConfig(TomlTable):
 
 
 class CameraConfig(TomlTable):
-    """``[camera]``: where pictures come from."""
+    """``[camera]``: where pictures come from, and how the camera is set; what is left out stays as it is there."""
 
-    driver: Literal["simulated", "replay"] = Field(description="how the camera is reached")
+    driver: Literal["aravis", "harvesters", "replay", "simulated"] = Field(description="how the camera is reached")
+    camera: str = Field(
+        default="", max_length=100, description="IPv4 address or serial number, for drivers aravis and harvesters"
+    )
+    producers: list[Path] = Field(
+        default=[], max_length=10, description="GenTL producers (.cti) for driver harvesters; empty: the environment's"
+    )
     images: Path | None = Field(default=None, description="folder of pictures, for driver replay")
     timeout_s: Seconds = Field(default=2.0, description="a frame later than this is a camera fault")
+    exposure_us: Annotated[float, Field(gt=0, le=10_000_000)] | None = Field(default=None, description="exposure time")
+    gain_db: Annotated[float, Field(ge=-40, le=60)] | None = Field(default=None, description="gain")
+    pixel_format: str | None = Field(default=None, max_length=40, description="GenICam name, such as Mono8")
+    packet_size: Annotated[int, Field(ge=576, le=16_000)] | None = Field(
+        default=None, description="bytes in a packet; the default is the largest that passes"
+    )
+    packet_delay_ns: Annotated[int, Field(ge=0, le=10_000_000)] | None = Field(
+        default=None, description="pause between packets"
+    )
+    heartbeat_ms: Annotated[int, Field(ge=500, le=60_000)] = Field(
+        default=3000, description="after this long without us the camera is free for others"
+    )
+
+    @model_validator(mode="after")
+    def _names_its_camera(self) -> Self:
+        if self.driver in ("aravis", "harvesters") and not self.camera:
+            msg = f'driver {self.driver} needs camera = "ADDRESS OR SERIAL"; `slabcell camera list` shows them'
+            raise ValueError(msg)
+        if self.driver == "replay" and self.images is None:
+            msg = "driver replay needs images = FOLDER"
+            raise ValueError(msg)
+        return self
+
+    def settings(self) -> CameraSettings:
+        """Return what the drivers of real cameras are told."""
+        return CameraSettings(
+            pixel_format=self.pixel_format,
+            exposure_us=self.exposure_us,
+            gain_db=self.gain_db,
+            packet_size=self.packet_size,
+            packet_delay_ns=self.packet_delay_ns,
+            heartbeat_ms=self.heartbeat_ms,
+        )
 
 
 class EkiConfig(TomlTable):
