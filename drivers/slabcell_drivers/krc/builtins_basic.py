@@ -1,15 +1,12 @@
 """What do KRL's functions on numbers, texts, variables and time do?"""
 
 import math
-from typing import TYPE_CHECKING
 
 from slabcell_drivers.krc.builtin_table import Builtin
 from slabcell_drivers.krc.cells import Place
+from slabcell_drivers.krc.host import Host
 from slabcell_drivers.krc.messages import KrlError, RunMessage
 from slabcell_drivers.krc.values import CharArray, EnumConstant, StructValue, Value, text_of
-
-if TYPE_CHECKING:
-    from slabcell_drivers.krc.kernel import Kernel
 
 __all__ = ["BASIC_BUILTINS"]
 
@@ -35,37 +32,37 @@ def place_text(place: Place) -> str:
     return "" if value is None else text(value)
 
 
-def _sine(_: "Kernel", x: Value) -> float:
+def _sine(_: Host, x: Value) -> float:
     return math.sin(math.radians(_number(x)))
 
 
-def _cosine(_: "Kernel", x: Value) -> float:
+def _cosine(_: Host, x: Value) -> float:
     return math.cos(math.radians(_number(x)))
 
 
-def _tangent(_: "Kernel", x: Value) -> float:
+def _tangent(_: Host, x: Value) -> float:
     return math.tan(math.radians(_number(x)))
 
 
-def _root(_: "Kernel", x: Value) -> float:
+def _root(_: Host, x: Value) -> float:
     number = _number(x)
     if number < 0:
         raise KrlError(RunMessage.RANGE, f"SQRT of {text_of(x)}: a number below 0 has no root")
     return math.sqrt(number)
 
 
-def _arc_cosine(_: "Kernel", x: Value) -> float:
+def _arc_cosine(_: Host, x: Value) -> float:
     number = _number(x)
     if not -1.0 <= number <= 1.0:
         raise KrlError(RunMessage.RANGE, f"ACOS of {text_of(x)}: not in -1 to 1")
     return math.degrees(math.acos(number))
 
 
-def _arc_tangent(_: "Kernel", y: Value, x: Value) -> float:
+def _arc_tangent(_: Host, y: Value, x: Value) -> float:
     return math.degrees(math.atan2(_number(y), _number(x)))
 
 
-def _magnitude(_: "Kernel", x: Value) -> Value:
+def _magnitude(_: Host, x: Value) -> Value:
     _number(x)
     return abs(x)
 
@@ -77,15 +74,15 @@ def _declared_length(value: Value) -> int:
     return value.size if isinstance(value, CharArray) else len(text(value))
 
 
-def _string_declared_length(_: "Kernel", place: Place) -> int:
+def _string_declared_length(_: Host, place: Place) -> int:
     return _declared_length(place.value)
 
 
-def _string_length(_: "Kernel", place: Place) -> int:
+def _string_length(_: Host, place: Place) -> int:
     return len(place_text(place))  # 0 for an argument left out, which message libraries rely on
 
 
-def _string_add(_: "Kernel", target: Place, addition: Value) -> int:
+def _string_add(_: Host, target: Place, addition: Value) -> int:
     value = target.value
     joined = place_text(target) + text(addition)
     if isinstance(value, CharArray) and len(joined) > value.size:
@@ -94,7 +91,7 @@ def _string_add(_: "Kernel", target: Place, addition: Value) -> int:
     return len(text(addition)) and len(joined)
 
 
-def _string_clear(_: "Kernel", target: Place) -> bool:
+def _string_clear(_: Host, target: Place) -> bool:
     target.set("")
     return True
 
@@ -103,12 +100,12 @@ def _ignores_case(option: Value) -> bool:
     return isinstance(option, EnumConstant) and option.name.startswith("NOT")
 
 
-def _string_compare(_: "Kernel", a: Value, b: Value, option: Value = None) -> bool:
+def _string_compare(_: Host, a: Value, b: Value, option: Value = None) -> bool:
     first, second = text(a), text(b)
     return first.upper() == second.upper() if _ignores_case(option) else first == second
 
 
-def _string_copy(_: "Kernel", target: Place, source: Value) -> bool:
+def _string_copy(_: Host, target: Place, source: Value) -> bool:
     value = target.value
     if isinstance(value, CharArray) and len(text(source)) > value.size:
         return False
@@ -116,7 +113,7 @@ def _string_copy(_: "Kernel", target: Place, source: Value) -> bool:
     return True
 
 
-def _string_find(_: "Kernel", start: Value, where: Value, what: Value, option: Value = None) -> int:
+def _string_find(_: Host, start: Value, where: Value, what: Value, option: Value = None) -> int:
     haystack, needle = text(where), text(what)
     if _ignores_case(option):
         haystack, needle = haystack.upper(), needle.upper()
@@ -131,15 +128,15 @@ def _to_number(target: Place, source: Value, convert: "type[int] | type[float]")
     return True
 
 
-def _string_to_int(_: "Kernel", source: Value, target: Place) -> bool:
+def _string_to_int(_: Host, source: Value, target: Place) -> bool:
     return _to_number(target, source, int)
 
 
-def _string_to_real(_: "Kernel", source: Value, target: Place) -> bool:
+def _string_to_real(_: Host, source: Value, target: Place) -> bool:
     return _to_number(target, source, float)
 
 
-def _string_to_bool(_: "Kernel", source: Value, target: Place) -> bool:
+def _string_to_bool(_: Host, source: Value, target: Place) -> bool:
     word = text(source).strip().upper()
     if word not in {"TRUE", "FALSE", "1", "0"}:
         return False
@@ -147,7 +144,7 @@ def _string_to_bool(_: "Kernel", source: Value, target: Place) -> bool:
     return True
 
 
-def _string_to_structure(host: "Kernel", source: Value, target: Place) -> bool:
+def _string_to_structure(host: Host, source: Value, target: Place) -> bool:
     try:
         target.set(host.evaluate_text(text(source)))
     except KrlError:
@@ -158,29 +155,29 @@ def _string_to_structure(host: "Kernel", source: Value, target: Place) -> bool:
 # --- variables and time --------------------------------------------------------------------------------------------
 
 
-def _variable_state(host: "Kernel", name: Value) -> EnumConstant:
+def _variable_state(host: Host, name: Value) -> EnumConstant:
     return EnumConstant(host.variable_state(text(name)))
 
 
-def _raise_error(host: "Kernel", error: Value) -> None:
+def _raise_error(host: Host, error: Value) -> None:
     number = error.get("NUMBER") if isinstance(error, StructValue) else 0
     if number:
         raise KrlError(int(number), host.error_text or "ERR_RAISE")
 
 
-def _clear_error(host: "Kernel", *_: Place) -> None:
+def _clear_error(host: Host, *_: Place) -> None:
     host.clear_error()
 
 
-def _timer_limit(_: "Kernel", value: Value) -> float:
+def _timer_limit(_: Host, value: Value) -> float:
     return min(max(_number(value), -2147483.0), 2147483.0)
 
 
-def _random(host: "Kernel", low: Value, high: Value) -> float:
+def _random(host: Host, low: Value, high: Value) -> float:
     return host.rng.uniform(_number(low), _number(high))
 
 
-def _zero(_: "Kernel") -> int:
+def _zero(_: Host) -> int:
     return 0
 
 

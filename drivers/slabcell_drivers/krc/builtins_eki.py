@@ -1,25 +1,22 @@
 """How do the functions of KUKA.EthernetKRL look from KRL?  Names, arguments and EKI_STATUS around `EthernetKrl`."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 from slabcell_drivers.krc.builtin_table import Builtin
 from slabcell_drivers.krc.builtins_basic import text
 from slabcell_drivers.krc.cells import ElementRef, Place
 from slabcell_drivers.krc.eki import EkiStatus
 from slabcell_drivers.krc.eki_config import ElementType
+from slabcell_drivers.krc.host import Host
 from slabcell_drivers.krc.messages import KrlError, RunMessage
 from slabcell_drivers.krc.operators import frame_of, set_frame
 from slabcell_drivers.krc.values import ArrayValue, EnumConstant, StructType, StructValue, Value, text_of
 from slabcell_drivers.robot.frame import Frame
 
-if TYPE_CHECKING:
-    from slabcell_drivers.krc.kernel import Kernel
-
 __all__ = ["EKI_BUILTINS"]
 
 
-def _status(host: "Kernel", status: EkiStatus) -> StructValue:
+def _status(host: Host, status: EkiStatus) -> StructValue:
     type_ = host.project.find_type("EKI_STATUS", None)
     assert isinstance(type_, StructType)  # noqa: S101  # predefined.dat declares it
     fields: dict[str, Value] = {
@@ -29,25 +26,23 @@ def _status(host: "Kernel", status: EkiStatus) -> StructValue:
         "CONNECTED": status.connected,
         "COUNTER": int(status.counter),
     }
-    if status.msg_no:
-        host.note_eki(status)
     return StructValue(type_, fields)
 
 
 def _on_channel(name: str) -> Callable[..., Value]:
-    def call(host: "Kernel", channel: Value) -> Value:
+    def call(host: Host, channel: Value) -> Value:
         host.eki.poll(0.0)
         return _status(host, getattr(host.eki, name)(text(channel)))
 
     return call
 
 
-def _open(host: "Kernel", channel: Value) -> Value:
+def _open(host: Host, channel: Value) -> Value:
     return _status(host, host.open_channel(text(channel)))
 
 
 def _on_memory(name: str) -> Callable[..., Value]:
-    def call(host: "Kernel", channel: Value, path: Value) -> Value:
+    def call(host: Host, channel: Value, path: Value) -> Value:
         host.eki.poll(0.0)
         status: EkiStatus = getattr(host.eki, name)(text(channel), text(path))
         if not status.buff:
@@ -57,7 +52,7 @@ def _on_memory(name: str) -> Callable[..., Value]:
     return call
 
 
-def _send(host: "Kernel", channel: Value, path: Value, length: Place | None = None) -> Value:
+def _send(host: Host, channel: Value, path: Value, length: Place | None = None) -> Value:
     limit = length.value if length is not None else None
     host.eki.poll(0.0)
     status = host.eki.send(text(channel), text(path), limit if isinstance(limit, int) and limit > 0 else None)
@@ -77,7 +72,7 @@ _KINDS: dict[str, tuple[ElementType, Callable[[Value], Value]]] = {
 def _setter(kind: str) -> Callable[..., Value]:
     convert = _KINDS[kind][1]
 
-    def call(host: "Kernel", channel: Value, path: Value, value: Value) -> Value:
+    def call(host: Host, channel: Value, path: Value, value: Value) -> Value:
         if kind not in {"STRING", "FRAME"} and isinstance(value, str | StructValue):
             raise KrlError(RunMessage.TYPE, f"EKI_SET{kind}: {text_of(value)} is no {kind}")
         return _status(host, host.eki.set_value(text(channel), text(path), convert(value)))
@@ -99,7 +94,7 @@ def _store(place: Place, value: object) -> None:
 def _getter(kind: str) -> Callable[..., Value]:
     element = _KINDS[kind][0]
 
-    def call(host: "Kernel", channel: Value, path: Value, target: Place) -> Value:
+    def call(host: Host, channel: Value, path: Value, target: Place) -> Value:
         host.eki.poll(0.0)
         status, value = host.eki.get_value(text(channel), text(path), element)
         if value is not None:
@@ -112,7 +107,7 @@ def _getter(kind: str) -> Callable[..., Value]:
 def _array_getter(kind: str) -> Callable[..., Value]:
     element = _KINDS[kind][0]
 
-    def call(host: "Kernel", channel: Value, path: Value, target: Place) -> Value:
+    def call(host: Host, channel: Value, path: Value, target: Place) -> Value:
         host.eki.poll(0.0)
         array = target.value
         if not isinstance(array, ArrayValue):
@@ -125,7 +120,7 @@ def _array_getter(kind: str) -> Callable[..., Value]:
     return call
 
 
-def _check(host: "Kernel", status: Value, kind: Value, channel: Value = None) -> None:
+def _check(host: Host, status: Value, kind: Value, channel: Value = None) -> None:
     if not isinstance(status, StructValue):
         raise KrlError(RunMessage.TYPE, f"EKI_CHECK: {text_of(status)} is no EKI_STATUS")
     found = host.eki.check(EkiStatus(msg_no=int(status.get("MSG_NO") or 0)), None if channel is None else text(channel))

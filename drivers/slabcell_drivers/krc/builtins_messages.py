@@ -2,16 +2,13 @@
 
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from slabcell_drivers.krc.builtin_table import Builtin
 from slabcell_drivers.krc.builtins_basic import place_text, text
 from slabcell_drivers.krc.cells import Place, Trait
+from slabcell_drivers.krc.host import Host
 from slabcell_drivers.krc.messages import KrlError, RunMessage
 from slabcell_drivers.krc.values import ArrayValue, CharArray, EnumConstant, StructValue, Value, text_of
-
-if TYPE_CHECKING:
-    from slabcell_drivers.krc.kernel import Kernel
 
 __all__ = ["MESSAGE_BUILTINS", "format_text"]
 
@@ -59,13 +56,13 @@ def _message_parts(message: Value) -> tuple[str, int, str]:
     return _shown(originator or ""), int(message.fields.get("NR") or 0), _shown(content or "")
 
 
-def _set_message(host: "Kernel", kind: Value, message: Value, parameters: Value = None, *_: Value) -> int:
+def _set_message(host: Host, kind: Value, message: Value, parameters: Value = None, *_: Value) -> int:
     originator, number, content = _message_parts(message)
     name = kind.name if isinstance(kind, EnumConstant) else "NOTIFY"
     return host.messages.show(name, originator, number, _filled(content, parameters))
 
 
-def _set_dialog(host: "Kernel", message: Value, parameters: Value = None, softkeys: Value = None, *_: Value) -> int:
+def _set_dialog(host: Host, message: Value, parameters: Value = None, softkeys: Value = None, *_: Value) -> int:
     originator, number, content = _message_parts(message)
     keys: list[str] = []
     if isinstance(softkeys, ArrayValue):
@@ -73,15 +70,15 @@ def _set_dialog(host: "Kernel", message: Value, parameters: Value = None, softke
     return host.messages.show("DIALOG", originator, number, _filled(content, parameters), tuple(keys))
 
 
-def _message_exists(host: "Kernel", handle: Value) -> bool:
+def _message_exists(host: Host, handle: Value) -> bool:
     return host.messages.is_open(int(handle))
 
 
-def _clear_message(host: "Kernel", handle: Value) -> bool:
+def _clear_message(host: Host, handle: Value) -> bool:
     return host.messages.clear(int(handle))
 
 
-def _dialog_exists(host: "Kernel", handle: Value, answer: Place | None = None) -> bool:
+def _dialog_exists(host: Host, handle: Value, answer: Place | None = None) -> bool:
     key = host.messages.answered(int(handle))
     if key is None:
         host.expect_operator()
@@ -99,7 +96,7 @@ class _Short:
 
     def __call__(
         self,
-        host: "Kernel",
+        host: Host,
         content: Value,
         originator: Value = None,
         value: Value = None,
@@ -113,12 +110,12 @@ class _Short:
         return host.messages.show(self._kind, module, int(number or 0), shown)
 
 
-def _state_message(host: "Kernel", handle: Place, *arguments: Value) -> None:
+def _state_message(host: Host, handle: Place, *arguments: Value) -> None:
     handle.set(_Short("STATE")(host, *arguments))
 
 
 def _ask(
-    host: "Kernel", answer: Place, content: Value, originator: Value = None, addition: Value = None, *rest: Value
+    host: Host, answer: Place, content: Value, originator: Value = None, addition: Value = None, *rest: Value
 ) -> None:
     keys = tuple(text(key) for key in rest[:7] if isinstance(key, str | CharArray))
     filling = "" if addition is None else _shown(addition)
@@ -127,11 +124,11 @@ def _ask(
     host.open_dialog = (handle, answer)
 
 
-def _is_acknowledged(host: "Kernel") -> bool:
+def _is_acknowledged(host: Host) -> bool:
     return not host.messages.is_open(host.messages.last_handle)
 
 
-def _is_answered(host: "Kernel") -> bool:
+def _is_answered(host: Host) -> bool:
     if host.open_dialog is None:
         return True
     handle, answer = host.open_dialog
@@ -182,9 +179,7 @@ def _set_state(state: Place | None, return_code: str, hits: int, length: int) ->
                 structure.set(name, value)
 
 
-def _write_text(
-    _: "Kernel", target: Place, state: Place | None, offset: Place | None, form: Place, *values: Place
-) -> None:
+def _write_text(_: Host, target: Place, state: Place | None, offset: Place | None, form: Place, *values: Place) -> None:
     start = int(offset.value or 0) if offset is not None else 0
     written = format_text(text(form.value), [v.value for v in values])
     before = place_text(target)[:start].ljust(start)
@@ -210,9 +205,7 @@ _SCAN = {
 }
 
 
-def _read_text(
-    _: "Kernel", source: Place, state: Place | None, offset: Place | None, form: Place, *targets: Place
-) -> None:
+def _read_text(_: Host, source: Place, state: Place | None, offset: Place | None, form: Place, *targets: Place) -> None:
     start = int(offset.value or 0) if offset is not None else 0
     content = place_text(source)
     position, hits = start, 0
@@ -249,7 +242,7 @@ def _read_text(
 # --- outputs -------------------------------------------------------------------------------------------------------
 
 
-def _pulse(host: "Kernel", output: Place, level: Value, seconds: Value) -> None:
+def _pulse(host: Host, output: Place, level: Value, seconds: Value) -> None:
     if isinstance(seconds, bool) or not isinstance(seconds, int | float) or seconds <= 0:
         raise KrlError(RunMessage.RANGE, f"PULSE: {text_of(seconds)} s is not above 0")
     output.set(level)
@@ -266,12 +259,12 @@ class _NotHere:
     def __init__(self, name: str) -> None:
         self._name = name
 
-    def __call__(self, _: "Kernel", *arguments: Value) -> None:
+    def __call__(self, _: Host, *arguments: Value) -> None:
         del arguments
         raise KrlError(RunMessage.NOT_SUPPORTED, f"{self._name}: this controller has no such interface")
 
 
-def _channel_write(host: "Kernel", handle: Value, state: Place | None, *arguments: Value) -> None:
+def _channel_write(host: Host, handle: Value, state: Place | None, *arguments: Value) -> None:
     """CWRITE to $CMD and its kin: noted as a message, done by nobody."""
     del handle, arguments
     _set_state(state, "CMD_OK", 1, 0)

@@ -1,9 +1,8 @@
 """What do KRL's functions around motion do?  BAS, the helpers of inline forms, and the kinematics."""
 
-from typing import TYPE_CHECKING
-
 from slabcell_drivers.krc.builtin_table import Builtin
 from slabcell_drivers.krc.cells import Place
+from slabcell_drivers.krc.host import Host
 from slabcell_drivers.krc.messages import KrlError, RunMessage
 from slabcell_drivers.krc.motion_planner import AXIS_FIELDS
 from slabcell_drivers.krc.operators import frame_of, set_frame
@@ -11,15 +10,12 @@ from slabcell_drivers.krc.values import ArrayValue, EnumConstant, StructType, St
 from slabcell_drivers.robot.arm import ArmError, Axes
 from slabcell_drivers.robot.frame import Frame
 
-if TYPE_CHECKING:
-    from slabcell_drivers.krc.kernel import Kernel
-
 __all__ = ["MOTION_BUILTINS"]
 
 _EXTERNAL_AXES = ("E1", "E2", "E3", "E4", "E5", "E6")
 
 
-def _struct(host: "Kernel", name: str) -> StructType:
+def _struct(host: Host, name: str) -> StructType:
     type_ = host.project.find_type(name, None)
     assert isinstance(type_, StructType)  # noqa: S101  # predefined.dat declares it
     return type_
@@ -28,7 +24,7 @@ def _struct(host: "Kernel", name: str) -> StructType:
 # --- BAS -----------------------------------------------------------------------------------------------------------
 
 
-def _bas(host: "Kernel", command: Value, number: Value = None) -> None:
+def _bas(host: Host, command: Value, number: Value = None) -> None:
     if not isinstance(command, EnumConstant):
         raise KrlError(RunMessage.TYPE, f"BAS: {text_of(command)} is no command")
     value = 0.0 if number is None else float(number)
@@ -78,12 +74,12 @@ def _bas(host: "Kernel", command: Value, number: Value = None) -> None:
             pass  # ACC_GLUE, OUT_SYNC, OUT_ASYNC, GROUP: nothing of this cell
 
 
-def _default(host: "Kernel", name: str) -> float:
+def _default(host: Host, name: str) -> float:
     value = host.data_or_none(name)
     return float(value) if isinstance(value, int | float) else 100.0
 
 
-def _initialize(host: "Kernel") -> None:
+def _initialize(host: Host) -> None:
     _percent(host, "$VEL_AXIS", _default(host, "DEF_VEL_PTP"), "INITMOV")
     _percent(host, "$ACC_AXIS", _default(host, "DEF_ACC_PTP"), "INITMOV")
     speeds, accelerations, apo = (host.system.read(name) for name in ("$VEL", "$ACC", "$APO"))
@@ -101,13 +97,13 @@ def _initialize(host: "Kernel") -> None:
     _set_base(host, 0)
 
 
-def _path_speed(host: "Kernel", metres_per_second: float) -> None:
+def _path_speed(host: Host, metres_per_second: float) -> None:
     if metres_per_second <= 0.0:
         raise KrlError(RunMessage.RANGE, f"BAS(#VEL_CP,{metres_per_second:g}): the speed must be above 0 m/s")
     host.system.read("$VEL").set("CP", min(metres_per_second, _default(host, "DEF_VEL_CP")))
 
 
-def _path_acceleration(host: "Kernel", percent: float) -> None:
+def _path_acceleration(host: Host, percent: float) -> None:
     if percent <= 0.0:
         raise KrlError(RunMessage.RANGE, f"BAS(#ACC_CP,{percent:g}): the acceleration must be above 0 %")
     share = min(percent, 100.0) / 100.0
@@ -117,7 +113,7 @@ def _path_acceleration(host: "Kernel", percent: float) -> None:
         accelerations.set(member, _default(host, "DEF_ACC_ORI1") * share)
 
 
-def _percent(host: "Kernel", name: str, value: float, command: str) -> None:
+def _percent(host: Host, name: str, value: float, command: str) -> None:
     if not 0.0 < value <= 100.0:
         raise KrlError(RunMessage.RANGE, f"BAS(#{command},{value:g}): the value is not in 1 to 100 %")
     array = host.system.read(name)
@@ -125,7 +121,7 @@ def _percent(host: "Kernel", name: str, value: float, command: str) -> None:
         array.set((axis,), value)
 
 
-def _numbered(host: "Kernel", array_name: str, number: int) -> Value:
+def _numbered(host: Host, array_name: str, number: int) -> Value:
     array = host.data_or_none(array_name)
     if not isinstance(array, ArrayValue):
         raise KrlError(RunMessage.UNDECLARED, f"{array_name} is not declared")
@@ -135,7 +131,7 @@ def _numbered(host: "Kernel", array_name: str, number: int) -> Value:
         raise KrlError(error.number, f"{array_name}[{number}]: {error.text}") from None
 
 
-def _set_tool(host: "Kernel", number: int) -> None:
+def _set_tool(host: Host, number: int) -> None:
     frame = set_frame(StructValue(_struct(host, "FRAME"), {}), Frame())
     if number > 0:
         frame = _numbered(host, "TOOL_DATA", number)
@@ -148,7 +144,7 @@ def _set_tool(host: "Kernel", number: int) -> None:
     host.system.write("$ACT_TOOL", number)
 
 
-def _set_base(host: "Kernel", number: int) -> None:
+def _set_base(host: Host, number: int) -> None:
     frame = set_frame(StructValue(_struct(host, "FRAME"), {}), Frame())
     if number > 0:
         frame = _numbered(host, "BASE_DATA", number)
@@ -161,7 +157,7 @@ def _set_base(host: "Kernel", number: int) -> None:
 # --- helpers of inline forms ---------------------------------------------------------------------------------------
 
 
-def _tool_of_form(host: "Kernel", data: Value, *_: Value) -> Value:
+def _tool_of_form(host: Host, data: Value, *_: Value) -> Value:
     number = int(data.get("TOOL_NO") or 0) if isinstance(data, StructValue) else int(data or 0)
     host.system.write("$ACT_TOOL", max(0, number))
     if number <= 0:
@@ -169,7 +165,7 @@ def _tool_of_form(host: "Kernel", data: Value, *_: Value) -> Value:
     return _numbered(host, "TOOL_DATA", number)
 
 
-def _base_of_form(host: "Kernel", number: Value, *_: Value) -> Value:
+def _base_of_form(host: Host, number: Value, *_: Value) -> Value:
     if isinstance(number, StructValue):
         number = number.get("BASE_NO")
     host.system.write("$ACT_BASE", max(0, int(number or 0)))
@@ -178,7 +174,7 @@ def _base_of_form(host: "Kernel", number: Value, *_: Value) -> Value:
     return _numbered(host, "BASE_DATA", int(number))
 
 
-def _load_of_form(host: "Kernel", number: Value, *_: Value) -> Value:
+def _load_of_form(host: Host, number: Value, *_: Value) -> Value:
     if int(number or 0) > 0:
         load = _numbered(host, "LOAD_DATA", int(number))
         if isinstance(load, StructValue) and load.fields:
@@ -187,11 +183,11 @@ def _load_of_form(host: "Kernel", number: Value, *_: Value) -> Value:
     return StructValue(_struct(host, "LOAD"), null)
 
 
-def _speed_of_form(_: "Kernel", value: Value, *__: Value) -> float:
+def _speed_of_form(_: Host, value: Value, *__: Value) -> float:
     return float(value)
 
 
-def _acceleration_of_form(host: "Kernel", value: Value = None, *_: Value) -> Value:
+def _acceleration_of_form(host: Host, value: Value = None, *_: Value) -> Value:
     """$ACC=SACC_CP(data): path acceleration in per cent of the default."""
     percent = float(value.get("ACC") or 100.0) if isinstance(value, StructValue) else 100.0
     turning = _default(host, "DEF_ACC_ORI1")
@@ -199,18 +195,18 @@ def _acceleration_of_form(host: "Kernel", value: Value = None, *_: Value) -> Val
     return StructValue(_struct(host, "CP"), {"CP": path, "ORI1": turning, "ORI2": turning})
 
 
-def _axis_acceleration_of_form(_: "Kernel", value: Value = None, *__: Value) -> float:
+def _axis_acceleration_of_form(_: Host, value: Value = None, *__: Value) -> float:
     percent = value.get("ACC") if isinstance(value, StructValue) else value
     return float(percent or 100.0)
 
 
-def _path_speed_of_form(host: "Kernel", value: Value, *_: Value) -> Value:
+def _path_speed_of_form(host: Host, value: Value, *_: Value) -> Value:
     """$VEL=SVEL_CP(speed,,data): the orientation turns at its default speed."""
     turning = _default(host, "DEF_VEL_ORI1")
     return StructValue(_struct(host, "CP"), {"CP": float(value), "ORI1": turning, "ORI2": turning})
 
 
-def _approximation_of_form(host: "Kernel", data: Value = None, *_: Value) -> Value:
+def _approximation_of_form(host: Host, data: Value = None, *_: Value) -> Value:
     """$APO=SAPO(data) and its kin."""
     distance = float(data.get("APO_DIST") or 0.0) if isinstance(data, StructValue) else 0.0
     return StructValue(
@@ -218,31 +214,31 @@ def _approximation_of_form(host: "Kernel", data: Value = None, *_: Value) -> Val
     )
 
 
-def _jerk_of_form(_: "Kernel", *__: Value) -> float:
+def _jerk_of_form(_: Host, *__: Value) -> float:
     return 50.0
 
 
-def _ipo_of_form(_: "Kernel", *__: Value) -> EnumConstant:
+def _ipo_of_form(_: Host, *__: Value) -> EnumConstant:
     return EnumConstant("BASE")
 
 
-def _orientation_of_form(_: "Kernel", data: Value = None, *__: Value) -> EnumConstant:
+def _orientation_of_form(_: Host, data: Value = None, *__: Value) -> EnumConstant:
     found = data.get("ORI_TYP") if isinstance(data, StructValue) else None
     return found if isinstance(found, EnumConstant) else EnumConstant("VAR")
 
 
-def _circle_of_form(_: "Kernel", *__: Value) -> EnumConstant:
+def _circle_of_form(_: Host, *__: Value) -> EnumConstant:
     return EnumConstant("BASE")
 
 
-def _nothing(_: "Kernel", *__: Value) -> None:
+def _nothing(_: Host, *__: Value) -> None:
     return None
 
 
 # --- kinematics ----------------------------------------------------------------------------------------------------
 
 
-def _axes_value(host: "Kernel", axes: Axes) -> StructValue:
+def _axes_value(host: Host, axes: Axes) -> StructValue:
     fields: dict[str, Value] = dict(zip(AXIS_FIELDS, axes, strict=True))
     value = StructValue(_struct(host, "E6AXIS"), fields)
     fields |= dict.fromkeys(_EXTERNAL_AXES, 0.0)
@@ -259,7 +255,7 @@ def _axes_of(value: Value, name: str) -> Axes:
     return (a[0], a[1], a[2], a[3], a[4], a[5])
 
 
-def _inverse(host: "Kernel", position: Value, start: Value, error: Place | None = None) -> Value:
+def _inverse(host: Host, position: Value, start: Value, error: Place | None = None) -> Value:
     if not isinstance(position, StructValue) or not position.fields:
         raise KrlError(RunMessage.VALUE_INVALID, f"INVERSE: {text_of(position)} is no position")
     near = _axes_of(start, "INVERSE")
@@ -276,7 +272,7 @@ def _inverse(host: "Kernel", position: Value, start: Value, error: Place | None 
     return _axes_value(host, axes)
 
 
-def _forward(host: "Kernel", axes: Value, error: Place | None = None) -> Value:
+def _forward(host: Host, axes: Value, error: Place | None = None) -> Value:
     angles = _axes_of(axes, "FORWARD")
     planner = host.motion.planner
     try:
@@ -296,7 +292,7 @@ def _forward(host: "Kernel", axes: Value, error: Place | None = None) -> Value:
     return value
 
 
-def _inverse_position(host: "Kernel", position: Value) -> Value:
+def _inverse_position(host: Host, position: Value) -> Value:
     frame = frame_of(position).inverse()
     type_ = position.type if isinstance(position, StructValue) and position.type is not None else _struct(host, "FRAME")
     return set_frame(StructValue(type_, {}), frame)

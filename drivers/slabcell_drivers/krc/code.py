@@ -8,15 +8,11 @@ power between any two operations, and no Python stack grows with KRL's.
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING
 
 from slabcell_drivers.krc.cells import Cell, Place
 from slabcell_drivers.krc.values import KrlType, Value
 
-if TYPE_CHECKING:
-    from slabcell_drivers.krc.interrupts import InterruptEntry
-
-__all__ = ["Activation", "Code", "Function", "Operation", "Pause"]
+__all__ = ["Activation", "Code", "Function", "InterruptEntry", "Operation", "Pause"]
 
 
 class Pause(Enum):
@@ -66,3 +62,19 @@ class Activation:
         """The line that is executed."""
         lines = self.code.lines
         return lines[min(self.pc, len(lines) - 1)] if lines else 0
+
+
+@dataclass(slots=True, eq=False)
+class InterruptEntry:
+    """One declared interrupt."""
+
+    number: int
+    condition: Function
+    activation: Activation
+    label: list[int]
+    is_global: bool
+    uses_time: bool
+    is_on: bool = False
+    is_enabled: bool = True
+    was_true: bool = False
+    is_pending: bool = False

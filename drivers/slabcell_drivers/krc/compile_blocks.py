@@ -1,6 +1,5 @@
 """How do IF, SWITCH and the loops become jumps?"""
 
-from abc import abstractmethod
 from collections.abc import Sequence
 
 from slabcell_drivers.krc.code import Activation
@@ -17,10 +16,6 @@ class BlockCompiler(CallCompiler):
     """Compiles blocks.  ``exits`` has the jumps out of each loop that is open, to be given their targets."""
 
     exits: list[list[int]]
-
-    @abstractmethod
-    def block(self, statements: Sequence[Statement]) -> None:
-        """Compile statements in their order."""
 
     def compile_if(self, statement: If) -> None:
         """Compile IF."""

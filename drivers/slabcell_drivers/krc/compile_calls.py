@@ -5,7 +5,7 @@ from collections.abc import Callable
 from slabcell_drivers.krc.cells import Cell, Place
 from slabcell_drivers.krc.code import Activation, Pause
 from slabcell_drivers.krc.compile_expressions import Typed
-from slabcell_drivers.krc.emitter import Emitter
+from slabcell_drivers.krc.emitter import StatementEmitter
 from slabcell_drivers.krc.messages import KrlError, RunMessage
 from slabcell_drivers.krc.syntax import Call, Expr
 from slabcell_drivers.krc.values import Value, copy_value
@@ -13,7 +13,7 @@ from slabcell_drivers.krc.values import Value, copy_value
 __all__ = ["CallCompiler"]
 
 
-class CallCompiler(Emitter):
+class CallCompiler(StatementEmitter):
     """Compiles calls."""
 
     def call(self, node: Call) -> Typed:

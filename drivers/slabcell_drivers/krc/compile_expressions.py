@@ -1,11 +1,11 @@
 """How does an expression become a function of an activation?  Names are resolved once, types used where known."""
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 from slabcell_drivers.krc.cells import ElementRef, MemberRef, Place, TextRef, Trait
 from slabcell_drivers.krc.code import Activation, Code, Function
 from slabcell_drivers.krc.messages import KrlError, RunMessage
+from slabcell_drivers.krc.names import ModuleNames, ProjectNames
 from slabcell_drivers.krc.operators import BINARY, UNARY, binary_type, geometric
 from slabcell_drivers.krc.syntax import (
     Aggregate,
@@ -35,9 +35,6 @@ from slabcell_drivers.krc.values import (
     Value,
     real32,
 )
-
-if TYPE_CHECKING:
-    from slabcell_drivers.krc.scope import ModuleScope, Project
 
 __all__ = ["ExpressionCompiler", "Typed", "describe"]
 
@@ -82,7 +79,7 @@ def _invalid(name: str) -> KrlError:
 class ExpressionCompiler:
     """Compiles the expressions of one routine."""
 
-    def __init__(self, project: "Project", module: "ModuleScope | None", code: Code) -> None:
+    def __init__(self, project: ProjectNames, module: ModuleNames | None, code: Code) -> None:
         self.project = project
         self.module = module
         self.code = code

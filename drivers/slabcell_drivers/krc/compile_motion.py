@@ -1,14 +1,10 @@
 """How do motions, spline blocks and triggers become operations?"""
 
-from typing import TYPE_CHECKING
-
 from slabcell_drivers.krc.code import Activation, Pause
+from slabcell_drivers.krc.emitter import StatementEmitter
 from slabcell_drivers.krc.messages import KrlError, RunMessage
-from slabcell_drivers.krc.motion_runner import MoveOrder, TriggerOrder
+from slabcell_drivers.krc.motion_orders import MoveOrder, TriggerOrder
 from slabcell_drivers.krc.syntax import Expr, Index, Member, Motion, Name, Spline, Trigger
-
-if TYPE_CHECKING:
-    from slabcell_drivers.krc.compile_routines import RoutineCompiler
 
 __all__ = ["compile_motion", "compile_spline", "compile_trigger"]
 
@@ -21,7 +17,7 @@ def _root_name(node: Expr) -> str:
     return node.name if isinstance(node, Name) else ""
 
 
-def compile_motion(compiler: "RoutineCompiler", node: Motion) -> None:
+def compile_motion(compiler: StatementEmitter, node: Motion) -> None:
     """Emit one motion: an operation that plans it as soon as the advance run has room for it."""
     if not node.points:
         raise KrlError(RunMessage.NOT_TAUGHT, f"{node.kind} !: this point was never taught")
@@ -56,7 +52,7 @@ def compile_motion(compiler: "RoutineCompiler", node: Motion) -> None:
     compiler.emit_synchronized(runner.wait_without_advance)
 
 
-def compile_spline(compiler: "RoutineCompiler", node: Spline) -> None:
+def compile_spline(compiler: StatementEmitter, node: Spline) -> None:
     """Emit a spline block: its segments pass into each other without a stop."""
     settings = [(compiler.place(t), compiler.expr(v)[0]) for t, v in node.settings]
     runner = compiler.interpreter.motion
@@ -78,7 +74,7 @@ def compile_spline(compiler: "RoutineCompiler", node: Spline) -> None:
     compiler.emit_synchronized(runner.wait_without_advance)
 
 
-def compile_trigger(compiler: "RoutineCompiler", node: Trigger) -> None:
+def compile_trigger(compiler: StatementEmitter, node: Trigger) -> None:
     """Emit a trigger: it belongs to the next motion that is planned."""
     position = compiler.expr(node.position)[0]
     delay = compiler.expr(node.delay)[0] if node.delay is not None else None

@@ -1,7 +1,6 @@
 """How does a routine become operations?  Variables, statements, and what interrupts and triggers do."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from slabcell_drivers.krc.cells import Trait
 from slabcell_drivers.krc.code import Activation, Code, Pause
@@ -9,7 +8,9 @@ from slabcell_drivers.krc.compile_blocks import BlockCompiler
 from slabcell_drivers.krc.compile_expressions import describe
 from slabcell_drivers.krc.compile_motion import compile_motion, compile_spline, compile_trigger
 from slabcell_drivers.krc.jumps import failing, jump_to
+from slabcell_drivers.krc.machine import Machine
 from slabcell_drivers.krc.messages import KrlError, RunMessage
+from slabcell_drivers.krc.names import ModuleNames
 from slabcell_drivers.krc.syntax import (
     Analog,
     Assign,
@@ -47,17 +48,13 @@ from slabcell_drivers.krc.syntax import (
 )
 from slabcell_drivers.krc.values import KrlType
 
-if TYPE_CHECKING:
-    from slabcell_drivers.krc.interpreter import Interpreter
-    from slabcell_drivers.krc.scope import ModuleScope
-
 __all__ = ["RoutineCompiler"]
 
 
 class RoutineCompiler(BlockCompiler):
     """Compiles one routine for one interpreter."""
 
-    def __init__(self, interpreter: "Interpreter", module: "ModuleScope", routine: Routine, *, file: str) -> None:
+    def __init__(self, interpreter: Machine, module: ModuleNames, routine: Routine, *, file: str) -> None:
         code = Code(routine.name, file, has_result=bool(routine.result_type))
         super().__init__(interpreter, module, code, line=routine.place.line)
         self.routine = routine

@@ -1,23 +1,23 @@
 """How do operations line up in a routine, and where does the advance run have to wait between them?"""
 
-from typing import TYPE_CHECKING
+from abc import abstractmethod
+from collections.abc import Sequence
 
 from slabcell_drivers.krc.cells import Trait
 from slabcell_drivers.krc.code import Code, Operation
 from slabcell_drivers.krc.compile_expressions import ExpressionCompiler
+from slabcell_drivers.krc.machine import Machine
+from slabcell_drivers.krc.names import ModuleNames
+from slabcell_drivers.krc.syntax import Statement
 from slabcell_drivers.krc.values import KrlType
 
-if TYPE_CHECKING:
-    from slabcell_drivers.krc.interpreter import Interpreter
-    from slabcell_drivers.krc.scope import ModuleScope
-
-__all__ = ["Emitter"]
+__all__ = ["Emitter", "StatementEmitter"]
 
 
 class Emitter(ExpressionCompiler):
     """Collects the operations and variables of one routine."""
 
-    def __init__(self, interpreter: "Interpreter", module: "ModuleScope", code: Code, *, line: int) -> None:
+    def __init__(self, interpreter: Machine, module: ModuleNames, code: Code, *, line: int) -> None:
         super().__init__(interpreter.project, module, code)
         self.scope = module
         self.interpreter = interpreter
@@ -50,3 +50,15 @@ class Emitter(ExpressionCompiler):
         if (always or Trait.STOPS_ADVANCE in self.traits) and not (self.continues or self.is_action):
             self.emit(self.interpreter.synchronize)
         return self.emit(operation)
+
+
+class StatementEmitter(Emitter):
+    """An emitter that can compile whole statements: what motions and triggers ask of the routine they stand in."""
+
+    @abstractmethod
+    def block(self, statements: Sequence[Statement]) -> None:
+        """Compile statements in their order."""
+
+    @abstractmethod
+    def action(self, statement: Statement) -> list[int]:
+        """Compile what an interrupt or trigger does; the list holds its position once the routine is complete."""

@@ -1,21 +1,19 @@
 """How does a program run?  Operation after operation, with interrupts, RESUME and ON_ERROR_PROCEED, tick by tick."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 from slabcell_drivers.krc.cells import Place
 from slabcell_drivers.krc.clock import Clock
-from slabcell_drivers.krc.code import Activation, Code, Function, Pause
+from slabcell_drivers.krc.code import Activation, Code, Function, InterruptEntry, Pause
 from slabcell_drivers.krc.compile_routines import RoutineCompiler
-from slabcell_drivers.krc.interrupts import InterruptEntry, Interrupts
+from slabcell_drivers.krc.host import Host
+from slabcell_drivers.krc.interrupts import Interrupts
 from slabcell_drivers.krc.messages import KrlError, RunMessage
-from slabcell_drivers.krc.motion_runner import MotionRunner, TriggerOrder
+from slabcell_drivers.krc.motion_orders import TriggerOrder
+from slabcell_drivers.krc.motion_runner import MotionRunner
+from slabcell_drivers.krc.names import ModuleNames, ProjectNames
 from slabcell_drivers.krc.syntax import Routine
 from slabcell_drivers.krc.values import Value
-
-if TYPE_CHECKING:
-    from slabcell_drivers.krc.kernel import Kernel
-    from slabcell_drivers.krc.scope import ModuleScope, Project
 
 __all__ = ["Interpreter"]
 
@@ -33,7 +31,7 @@ StatementHook = Callable[[str, int], None]
 class Interpreter:
     """Runs one program.  The host owns time, I/O and motion and calls `run_slice` once every tick."""
 
-    def __init__(self, host: "Kernel", project: "Project", motion: MotionRunner, clock: Clock) -> None:
+    def __init__(self, host: Host, project: ProjectNames, motion: MotionRunner, clock: Clock) -> None:
         self.host = host
         self.project = project
         self.motion = motion
@@ -52,11 +50,11 @@ class Interpreter:
 
     # --- programs and routines ----------------------------------------------------------------------------------
 
-    def resolve(self, name: str, module: "ModuleScope") -> "tuple[Routine, ModuleScope] | None":
+    def resolve(self, name: str, module: ModuleNames) -> tuple[Routine, ModuleNames] | None:
         """Return the KRL routine that a name means in a module, None where it means one of the controller's own."""
         return self.project.routine(name, module)
 
-    def code_of(self, routine: Routine, module: "ModuleScope") -> Code:
+    def code_of(self, routine: Routine, module: ModuleNames) -> Code:
         """Return the compiled routine."""
         code = self._codes.get(id(routine))
         if code is None:
@@ -65,7 +63,7 @@ class Interpreter:
             self._routines.append(routine)
         return code
 
-    def select(self, routine: Routine, module: "ModuleScope") -> None:
+    def select(self, routine: Routine, module: ModuleNames) -> None:
         """Begin with a routine: nothing of an earlier program is left."""
         self.deselect()
         code = self.code_of(routine, module)

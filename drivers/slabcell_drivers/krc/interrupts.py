@@ -6,31 +6,14 @@ goes first; one that is being served gives way only to a lower number.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
-from slabcell_drivers.krc.code import Activation, Function
+from slabcell_drivers.krc.code import Activation, Function, InterruptEntry
 from slabcell_drivers.krc.messages import KrlError, RunMessage
 from slabcell_drivers.krc.values import Value
 
-__all__ = ["InterruptEntry", "Interrupts"]
+__all__ = ["Interrupts"]
 
 LAST_PRIORITY = 128
-
-
-@dataclass(slots=True, eq=False)
-class InterruptEntry:
-    """One declared interrupt."""
-
-    number: int
-    condition: Function
-    activation: Activation
-    label: list[int]
-    is_global: bool
-    uses_time: bool
-    is_on: bool = False
-    is_enabled: bool = True
-    was_true: bool = False
-    is_pending: bool = False
 
 
 class Interrupts:

@@ -26,8 +26,9 @@ from slabcell_drivers.krc.interpreter import Interpreter
 from slabcell_drivers.krc.io_state import InputsOutputs
 from slabcell_drivers.krc.messages import KrlError, RunMessage
 from slabcell_drivers.krc.motion import INTERPOLATION_TICK_S
+from slabcell_drivers.krc.motion_orders import TriggerOrder
 from slabcell_drivers.krc.motion_planner import MotionPlanner
-from slabcell_drivers.krc.motion_runner import MotionRunner, Move, TriggerOrder
+from slabcell_drivers.krc.motion_runner import MotionRunner, Move
 from slabcell_drivers.krc.parser import parse
 from slabcell_drivers.krc.scope import Project
 from slabcell_drivers.krc.smartpad import MessageWindow, ShownMessage
@@ -195,9 +196,6 @@ class Kernel:
         self.clock.now_s += waited
         self.motion.step(waited)
         return status
-
-    def note_eki(self, status: EkiStatus) -> None:
-        """Take notice of a failed EKI call."""
 
     def halt(self, a: Activation) -> None:
         """HALT."""

@@ -4,7 +4,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from slabcell_drivers.krc.messages import KrlError, RunMessage
 from slabcell_drivers.krc.motion import (
@@ -19,40 +19,19 @@ from slabcell_drivers.krc.motion import (
 )
 from slabcell_drivers.krc.motion_blend import Approximation, blend
 from slabcell_drivers.krc.motion_joint import plan_lin_joint
+from slabcell_drivers.krc.motion_orders import MoveOrder, TriggerOrder
 from slabcell_drivers.krc.motion_spline import SegmentKind, SplineSegment, plan_spline
 from slabcell_drivers.krc.operators import FRAME_FIELDS, frame_of
 from slabcell_drivers.krc.values import EnumConstant, StructValue, Value, text_of
 from slabcell_drivers.robot.arm import ArmError, ArmModel, Axes
 from slabcell_drivers.robot.frame import Frame
 
-if TYPE_CHECKING:
-    from slabcell_drivers.krc.motion_runner import TriggerOrder
-
-__all__ = ["AXIS_FIELDS", "MotionPlanner", "MotionVariables", "MoveOrder", "Planned"]
+__all__ = ["AXIS_FIELDS", "MotionPlanner", "MotionVariables", "Planned"]
 
 AXIS_FIELDS = ("A1", "A2", "A3", "A4", "A5", "A6")
 _POINT_TO_POINT = frozenset({"PTP", "SPTP"})
 _CIRCLES = frozenset({"CIRC", "SCIRC"})
 MAX_ADVANCE = 5
-
-
-@dataclass(frozen=True, slots=True)
-class MoveOrder:
-    """One motion instruction with its points evaluated."""
-
-    kind: str
-    points: tuple[Value, ...]
-    angle_deg: float | None = None
-    approximation: tuple[str, ...] = ()
-    reference: str = ""
-    settings: frozenset[str] = frozenset()
-    file: str = ""
-    line: int = 0
-
-    @classmethod
-    def returning(cls) -> "MoveOrder":
-        """Return the order for the way back to an interrupted path."""
-        return cls("PTP", ())
 
 
 @dataclass(frozen=True, slots=True)
@@ -308,7 +287,7 @@ class MotionPlanner:
             return 100.0 if cvel is None else max(0.0, 100.0 - cvel)
         return 100.0
 
-    def trigger_time_s(self, trajectory: Trajectory, trigger: "TriggerOrder", start_s: float, end_s: float) -> float:
+    def trigger_time_s(self, trajectory: Trajectory, trigger: TriggerOrder, start_s: float, end_s: float) -> float:
         """Return when in its motion a trigger fires; ``start_s`` to ``end_s`` is the way it refers to."""
         at_start = trigger.on_start or (trigger.kind == "DISTANCE" and trigger.position == 0.0)
         time_s = start_s if at_start else end_s

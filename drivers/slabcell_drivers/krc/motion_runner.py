@@ -15,28 +15,16 @@ from slabcell_drivers.krc.clock import Clock
 from slabcell_drivers.krc.code import Activation, Pause
 from slabcell_drivers.krc.messages import RunMessage
 from slabcell_drivers.krc.motion import Trajectory
-from slabcell_drivers.krc.motion_planner import MotionPlanner, MoveOrder, Planned
+from slabcell_drivers.krc.motion_orders import MoveOrder, TriggerOrder
+from slabcell_drivers.krc.motion_planner import MotionPlanner, Planned
 from slabcell_drivers.krc.values import Value, copy_value
 from slabcell_drivers.robot.arm import Axes
 from slabcell_drivers.robot.frame import Frame
 
-__all__ = ["MotionRunner", "Move", "MoveOrder", "TriggerOrder"]
+__all__ = ["MotionRunner", "Move"]
 
 BRAKE_S = 0.2
 FAST_BRAKE_S = 0.1
-
-
-@dataclass(frozen=True, slots=True)
-class TriggerOrder:
-    """One TRIGGER; ``position`` is 0 or 1 for DISTANCE, millimetres for PATH."""
-
-    kind: str
-    position: float
-    on_start: bool
-    delay_s: float
-    priority: int
-    activation: Activation
-    label: list[int]
 
 
 @dataclass(slots=True)

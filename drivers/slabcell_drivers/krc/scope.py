@@ -13,6 +13,7 @@ from slabcell_drivers.krc.cells import Cell, ComputedCell, Container, Place, Tra
 from slabcell_drivers.krc.code import Activation, Code
 from slabcell_drivers.krc.compile_expressions import ExpressionCompiler
 from slabcell_drivers.krc.messages import KrlError, RunMessage
+from slabcell_drivers.krc.names import ModuleNames
 from slabcell_drivers.krc.syntax import (
     Assign,
     Channel,
@@ -87,10 +88,10 @@ class Project:
         self.modules: dict[str, ModuleScope] = {}
         self.globals: dict[str, Place] = {}
         self.types: dict[str, KrlType] = {}
-        self.routines: dict[str, tuple[Routine, ModuleScope]] = {}
+        self.routines: dict[str, tuple[Routine, ModuleNames]] = {}
         self.public: dict[str, Place] = {}
         self.problems: list[Diagnostic] = []
-        self._structs: dict[str, tuple[Struct, ModuleScope]] = {}
+        self._structs: dict[str, tuple[Struct, ModuleNames]] = {}
         self._coercers: dict[int, Callable[[Value], Value]] = {}
         self._kept: list[KrlType] = []
 
@@ -187,7 +188,7 @@ class Project:
 
     # --- declarations -------------------------------------------------------------------------------------------
 
-    def declare(self, statement: Statement, scope: ModuleScope, *, is_system: bool = False) -> None:
+    def declare(self, statement: Statement, scope: ModuleNames, *, is_system: bool = False) -> None:
         """Declare a type or a signal."""
         match statement:
             case Struct(name=name):
@@ -214,7 +215,7 @@ class Project:
             case Channel() | _:
                 pass
 
-    def _signal(self, statement: Signal, scope: ModuleScope) -> Place:
+    def _signal(self, statement: Signal, scope: ModuleNames) -> Place:
         if statement.first is None:
             return Cell(statement.name, None)
         name, first = self._bit(statement.first, scope)
@@ -239,20 +240,20 @@ class Project:
 
         return ComputedCell(statement.name, INT, read, write, traits=traits)
 
-    def _bit(self, node: Expr, scope: ModuleScope) -> tuple[str, int]:
+    def _bit(self, node: Expr, scope: ModuleNames) -> tuple[str, int]:
         if isinstance(node, Index) and isinstance(node.base, Name) and len(node.indices) == 1 and node.indices[0]:
             number = self._constant(node.indices[0], scope)
             if isinstance(number, int):
                 return node.base.name, number
         raise KrlError(RunMessage.TYPE, "a signal is $IN[n], $OUT[n], $ANIN[n] or $ANOUT[n]")
 
-    def _constant(self, node: Expr, scope: ModuleScope) -> Value:
+    def _constant(self, node: Expr, scope: ModuleNames) -> Value:
         if isinstance(node, Literal):
             return node.value
         compiler = ExpressionCompiler(self, scope, Code("", ""))
         return compiler.expr(node)[0](Activation(compiler.code, []))
 
-    def declared_type(self, type_name: str, declarator: Declarator, scope: ModuleScope) -> KrlType | None:
+    def declared_type(self, type_name: str, declarator: Declarator, scope: ModuleNames) -> KrlType | None:
         """Return the type of a declared name; None where its type is unknown."""
         type_ = self.find_type(type_name, scope)
         if type_ is None or not declarator.dimensions:
@@ -269,7 +270,7 @@ class Project:
 
     # --- finding ------------------------------------------------------------------------------------------------
 
-    def find(self, name: str, module: ModuleScope | None) -> Place | None:
+    def find(self, name: str, module: ModuleNames | None) -> Place | None:
         """Return the variable that a name means in a module; None if it is not declared."""
         if module is not None:
             found = module.data.get(name)
@@ -282,7 +283,7 @@ class Project:
             return self.system.find(name)
         return self.public.get(name)
 
-    def find_type(self, name: str, module: ModuleScope | None) -> KrlType | None:
+    def find_type(self, name: str, module: ModuleNames | None) -> KrlType | None:
         """Return the type of this name as a module sees it; None if it is not declared."""
         scalar = _SCALARS.get(name)
         if scalar is not None:
@@ -315,7 +316,7 @@ class Project:
         """Return the conversion to a type."""
         return coercer(type_)
 
-    def routine(self, name: str, module: ModuleScope | None) -> tuple[Routine, ModuleScope] | None:
+    def routine(self, name: str, module: ModuleNames | None) -> tuple[Routine, ModuleNames] | None:
         """Return the KRL routine that a name means in a module; None where it means one of the controller's own."""
         if name in BUILTIN_FIRST:
             return None

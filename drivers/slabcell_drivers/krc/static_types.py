@@ -1,8 +1,8 @@
 """Of which type is an expression, as far as it can be told before the program runs?"""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
+from slabcell_drivers.krc.names import ModuleNames, ProjectNames
 from slabcell_drivers.krc.syntax import (
     Aggregate,
     Binary,
@@ -17,9 +17,6 @@ from slabcell_drivers.krc.syntax import (
 )
 from slabcell_drivers.krc.values import BOOL, CHAR, INT, REAL, ArrayType, EnumType, KrlType, StructType
 
-if TYPE_CHECKING:
-    from slabcell_drivers.krc.scope import ModuleScope, Project
-
 __all__ = ["ANY_ENUM", "Names", "fits", "is_text", "type_of"]
 
 ANY_ENUM = EnumType("", frozenset())
@@ -29,7 +26,7 @@ _RELATIONS = frozenset({"==", "<>", "<", ">", "<=", ">="})
 class Names:
     """What the names of a routine mean."""
 
-    def __init__(self, project: "Project", module: "ModuleScope", local: Mapping[str, KrlType | None]) -> None:
+    def __init__(self, project: ProjectNames, module: ModuleNames, local: Mapping[str, KrlType | None]) -> None:
         self.project = project
         self.module = module
         self.local = local
