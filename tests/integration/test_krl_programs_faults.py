@@ -60,6 +60,8 @@ NORMAL_STATEMENTS = 3650
 """Statements of the same job."""
 MAX_LIVES = 8
 """How often the robot may be started in one run of the test."""
+MAX_HELPS = 10
+"""How often a person helps in one run."""
 MAX_WALL_S = 20.0
 
 
@@ -109,6 +111,19 @@ class Table:
             self.held = None
         if self.krc is not None:
             self.krc.set_input(1, False)
+
+    def take_off(self):
+        """A person takes the slab off the gripper and lays it back on the table."""
+        if self.held is not None:
+            self.slabs[self.held] = tool_down(PICK_BASE, START[self.held])
+            self.held = None
+            self.krc.set_input(1, False)
+
+    def find_lost(self):
+        """A person finds what neither lies in its slot nor can be seen on the table, and lays it back."""
+        for slab in range(SLABS):
+            if self.held != slab and not self.in_slot(slab) and self.on_pick_side(slab) is None:
+                self.slabs[slab] = tool_down(PICK_BASE, START[slab])
 
     def moved(self, tcp):
         if self.held is not None:
@@ -200,6 +215,9 @@ class Plan:
     "cut": nothing passes and nobody is told; "forget": the connection is half-open, a new one can be made.
     """
 
+    operator: bool = False
+    """Whether a person does what the messages ask for, until the job is complete."""
+
     @classmethod
     def of(cls, seed):
         rng = random.Random(seed)
@@ -216,6 +234,7 @@ class Plan:
             (rng.randrange(2 * NORMAL_TELEGRAMS), rng.choice(["cut", "forget"]), rng.choice([0.05, 0.4]))
             for _ in range(rng.choice([0, 0, 0, 1]))
         )
+        plan.operator = rng.random() < 0.5
         return plan
 
 
@@ -228,6 +247,7 @@ class Outcome:
     table: Table
     offers: list
     job_state: str
+    operator: bool = False
 
 
 class Run:
@@ -245,6 +265,9 @@ class Run:
         self.stops = sorted(plan.stop_at, key=lambda stop: stop[1])
         self.statements = 0
         self.telegrams = 0
+        self.helps = 0
+        self.loop = asyncio.get_running_loop()
+        self.cell = None
         self.messages = []
 
     async def __call__(self):
@@ -253,7 +276,7 @@ class Run:
         robot = None
         while robot is None or not robot.done():
             ledger = await Ledger.open(self.folder / "ledger.sqlite")
-            cell = make_cell(self.table, ledger)
+            cell = self.cell = make_cell(self.table, ledger)
             over = asyncio.Event()
 
             def count(*_, over=over):
@@ -288,7 +311,26 @@ class Run:
         # A program that is started again after the job is complete begins another job, for which nothing is left.
         states = [str(job["state"]) for job in jobs]
         state = "complete" if "complete" in states else (states or ["none"])[-1]
-        return Outcome(ended, self.messages, self.table, offers, state)
+        return Outcome(ended, self.messages, self.table, offers, state, operator=self.plan.operator)
+
+    def operator_helps(self, krc):
+        """Do what the message on the SmartPAD asks for; return whether START shall be pressed."""
+        number = int(krc.messages[-1].text[:4]) if krc.messages[-1].text[:4].isdigit() else 0
+        if number in {CellFault.GRIPPER_NOT_EMPTY, CellFault.TAKE_SLAB_OFF}:
+            self.table.take_off()
+        if not self.plan.operator:
+            return number == CellFault.TAKE_SLAB_OFF
+        if number in {CellFault.PART_LOST, CellFault.PLACEMENT_UNKNOWN}:
+            self.table.find_lost()
+            for result_id, slot in self.ask_cell(self.unknown()):
+                self.ask_cell(self.cell.resolve(result_id, placed=self.table.in_slot(slot)))
+        return True
+
+    async def unknown(self):
+        return [(offer.result_id, offer.slot) for offer in await self.cell._desk.unknown()]
+
+    def ask_cell(self, coroutine):
+        return asyncio.run_coroutine_threadsafe(coroutine, self.loop).result(30)
 
     def robot_lives(self, address):
         """Start the robot, and start it again after each failure, as an operator does."""
@@ -316,7 +358,8 @@ class Run:
         with krc:
             for _ in range(MAX_LIVES):
                 result = krc.run("SlabCell", max_wall_s=MAX_WALL_S)
-                while result.status == "halted" and "Hold the slab" in krc.messages[-1].text:
+                while result.status == "halted" and self.helps < MAX_HELPS and self.operator_helps(krc):
+                    self.helps += 1
                     result = krc.go_on(max_wall_s=MAX_WALL_S)
                 if result.status not in {"cancelled", "power_lost"}:
                     break
@@ -370,6 +413,8 @@ def judge(outcome):
         ]
         if counts.count(slab) > 1 + len(settled):
             wrong.append(f"slab {slab} was gripped {counts.count(slab)} times for {len(settled)} results given up")
+    if outcome.operator and (outcome.ended, outcome.job_state) != ("done", "complete"):
+        wrong.append(f"a person did all that was asked for, and the job is {outcome.job_state}, {outcome.ended}")
     if outcome.ended == "done":
         if outcome.job_state == "complete" and not all(table.in_slot(slab) for slab in range(SLABS)):
             wrong.append("the job is complete, but not every slab lies in its slot")
