@@ -3,9 +3,11 @@
 import asyncio
 import contextlib
 import dataclasses
+import socket
 
 import pytest
 
+from slabcell_drivers.robot.eki.answering import notice_dead_peer
 from slabcell_drivers.robot.eki.codec import decode_answer, encode_request
 from slabcell_drivers.robot.eki.framing import Framer
 from slabcell_drivers.robot.eki.link import HANDLER_FAILED_CODE, Direction, EkiServer, EndReason
@@ -276,3 +278,32 @@ async def test_the_answer_acknowledges_the_request_whatever_the_handler_says():
     async with serving(handler) as link, Robot.connected(link) as robot:
         robot.send(ask(11))
         assert (await robot.answer()).acknowledges == 11
+
+
+async def test_a_hook_that_raises_ends_its_connection_and_not_the_link():
+    calls = []
+
+    def hook(way, raw, at_s):
+        calls.append(way)
+        if len(calls) == 1:
+            raise ValueError("disk full")
+
+    async with serving(echo, on_telegram=hook) as link:
+        async with Robot.connected(link) as robot:
+            robot.send(ask(1))
+            await robot.until_closed()
+        async with Robot.connected(link) as robot:
+            robot.send(ask(2))
+            assert (await robot.answer()).acknowledges == 2
+            assert link.last_end is EndReason.FAILED
+
+
+def test_a_dead_peer_is_noticed_by_the_kernel_within_two_seconds():
+    with socket.socket() as sock:
+        notice_dead_peer(sock)
+        first_probe_s = sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE)
+        apart_s = sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL)
+        probes = sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT)
+        assert sock.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) == 1
+        assert first_probe_s + apart_s * probes <= 2
+        assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) <= 2000

@@ -56,6 +56,7 @@ class EndReason(StrEnum):
     FLOODED = "more requests than a lock-step robot sends"
     REPLACED = "the robot connected anew"
     STOPPED = "the link was stopped"
+    FAILED = "an error of the link itself, see the log"
 
 
 class Connection:
@@ -89,10 +90,12 @@ class Connection:
         """Serve the robot; returns why the connection ended, with the socket closed and no task left behind."""
         tasks = [asyncio.create_task(self._read()), asyncio.create_task(self._work())]
         try:
-            done, _ = await asyncio.wait([*tasks, self._end], return_when=asyncio.FIRST_COMPLETED)
-            for task in done:
-                if task is not self._end and (error := task.exception()) is not None:
-                    raise error
+            await asyncio.wait([*tasks, self._end], return_when=asyncio.FIRST_COMPLETED)
+            for task in tasks:
+                if task.done() and (error := task.exception()) is not None:
+                    # For example a hook that raises: the link must outlive it.
+                    _log.error("eki.connection_failed", exc_info=error)
+                    self.end(EndReason.FAILED)
             return self._end.result()
         finally:
             for task in tasks:
