@@ -276,6 +276,7 @@ class AravisDevice:
         """Return every frame that nobody waits for to the stream."""
         while buffer := self._library.call("arv_stream_try_pop_buffer", self._stream):
             self._statistics.stale += 1
+            self._sequence.judge(int(self._library.call("arv_buffer_get_frame_id", buffer)))  # the next one is known
             self._library.call("arv_stream_push_buffer", self._stream, buffer)
 
     def _shoot(self, deadline_s: float, *, count: bool = True) -> ImageFrame:

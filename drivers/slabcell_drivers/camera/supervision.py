@@ -164,15 +164,18 @@ class SupervisedCamera:
     async def _until_connected(self, deadline_s: float) -> CameraInfo:
         """Connect as soon as the camera answers and is free.  Raises CameraError at the deadline."""
         sight = Sight.SILENT
+        busy: CameraBusy | None = None
         while (left_s := deadline_s - time.monotonic()) > 0:
             sight = await self._backend.look(min(LOOK_S, left_s))
             if sight is Sight.FREE:
                 try:
                     async with asyncio.timeout_at(_loop_time(deadline_s)):
                         return await self._backend.connect()
-                except CameraBusy:
-                    sight = Sight.CONTROLLED  # another client was quicker
+                except CameraBusy as error:
+                    busy, sight = error, Sight.CONTROLLED  # another client was quicker
                 except TimeoutError as error:
+                    if busy is not None:
+                        raise busy from error
                     raise CameraTimeout(f"camera {self._backend.name}: could not be set up in time") from error
             await asyncio.sleep(max(0.0, min(RETRY_EVERY_S, deadline_s - time.monotonic())))
         if sight is Sight.CONTROLLED:

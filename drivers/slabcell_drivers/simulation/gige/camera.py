@@ -89,6 +89,11 @@ class GigeCamera:
         """What the camera has done so far."""
         return self._streamer.counts if self._streamer else StreamerCounts()
 
+    def pulse(self) -> None:
+        """Take a frame that no client asked for, as a pulse on the camera's trigger line would."""
+        if self._streamer is not None:
+            self._streamer.trigger()
+
     def start(self) -> None:
         """Switch on; discovery is answered when this returns.  Raises GigeCameraError."""
         try:

@@ -1,0 +1,229 @@
+"""Does the Harvesters driver deliver whole, fresh frames, and survive producers that die?  With two real producers."""
+
+import asyncio
+import importlib.util
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slabcell_drivers.camera import CameraBusy, CameraConfigError, CameraLost, CameraState, CameraTimeout
+from slabcell_drivers.camera.aravis import AravisCamera
+from slabcell_drivers.camera.aravis_library import AravisLibrary
+from slabcell_drivers.camera.harvesters import HarvestersCamera
+from slabcell_drivers.camera.probe import Sight, look
+from slabcell_drivers.camera.settings import CameraSettings
+from slabcell_drivers.gentl import ProducerBuildError, build
+from slabcell_drivers.simulation.gige import CheckedPattern, GigeCamera, SensorLimits
+
+from .conftest import need
+
+pytestmark = pytest.mark.integration
+
+MONO = "SN_InterfaceA_0"
+PLAIN = CameraSettings(packet_size=8000, heartbeat_ms=1000)
+
+
+@pytest.fixture(scope="session")
+def harvesters() -> None:
+    if importlib.util.find_spec("harvesters") is None or importlib.util.find_spec("genicam") is None:
+        need("harvesters and genicam are not installed: pip install 'slabcell[camera]'")
+
+
+@pytest.fixture(scope="session")
+def tlsimu(harvesters: None) -> Path:
+    path = Path(os.environ.get("SLABCELL_TLSIMU", f"{sys.prefix}/share/tlsimu/TLSimu.cti"))
+    if not path.is_file():
+        need(f"{path} is not there: it comes with the wheel that requirements/tlsimu.txt names")
+    return path
+
+
+@pytest.fixture(scope="session")
+def producer(harvesters: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    try:
+        return build()
+    except ProducerBuildError as error:
+        need(str(error))
+        raise
+
+
+@asynccontextmanager
+async def opened(camera: str, producer: Path, settings: CameraSettings) -> AsyncIterator[HarvestersCamera]:
+    found = HarvestersCamera(camera, [producer], settings)
+    try:
+        await found.open(10.0)
+        yield found
+    finally:
+        await found.close()
+
+
+async def test_triggers_give_frames_in_order_from_an_independent_producer(tlsimu: Path) -> None:
+    settings = CameraSettings(width=1920, height=1200, pixel_format="Mono8")
+    async with opened(MONO, tlsimu, settings) as camera:
+        assert camera.info is not None
+        assert (camera.info.width, camera.info.height) == (1920, 1200)
+        frames = [await camera.snap(2.0) for _ in range(20)]
+        assert [frame.frame_id for frame in frames] == [frames[0].frame_id + step for step in range(20)]
+        assert all(frame.pixels.shape == (1200, 1920) and frame.pixels.dtype == np.uint8 for frame in frames)
+        assert all(frame.triggered_s < frame.received_s for frame in frames)
+        assert len({id(frame.pixels) for frame in frames}) == 20
+
+
+@pytest.mark.parametrize("pixel_format", ["Mono12", "Mono10p"])
+async def test_deep_pixels_come_at_full_scale(producer: Path, address: str, pixel_format: str) -> None:
+    grey = np.full((480, 640), 0x8FC0, np.uint16)
+    with GigeCamera(lambda _: grey, address, serial=f"D-{address}", limits=SensorLimits(640, 480)):
+        async with opened(f"D-{address}", producer, replace(PLAIN, pixel_format=pixel_format)) as camera:
+            frame = await camera.snap(2.0)
+    assert np.array_equal(frame.pixels, grey)
+
+
+async def test_a_producer_that_is_killed_costs_a_restart_of_its_process_only(tlsimu: Path) -> None:
+    async with opened(MONO, tlsimu, CameraSettings(width=640, height=480)) as camera:
+        await camera.snap(2.0)
+        first = camera.process_id
+        assert first is not None
+        os.kill(first, signal.SIGKILL)
+        async with asyncio.timeout(2.0):
+            with pytest.raises(CameraLost, match="process has ended"):
+                await camera.snap(2.0)
+        async with asyncio.timeout(20.0):
+            await camera.until(CameraState.READY)
+        assert camera.process_id not in (None, first)
+        await camera.snap(2.0)
+        assert camera.statistics.reconnects == 1
+
+
+async def test_a_producer_that_hangs_is_a_timeout_in_time_and_can_be_closed(tlsimu: Path) -> None:
+    async with opened(MONO, tlsimu, CameraSettings(width=640, height=480)) as camera:
+        assert camera.process_id is not None
+        os.kill(camera.process_id, signal.SIGSTOP)
+        async with asyncio.timeout(1.5):
+            with pytest.raises((CameraTimeout, CameraLost)):
+                await camera.snap(1.0)
+
+
+async def test_a_process_that_dies_while_nobody_looks_is_noticed(tlsimu: Path) -> None:
+    async with opened(MONO, tlsimu, CameraSettings(width=640, height=480)) as camera:
+        assert camera.process_id is not None
+        os.kill(camera.process_id, signal.SIGKILL)
+        async with asyncio.timeout(20.0):
+            await camera.until(CameraState.LOST)
+            await camera.until(CameraState.READY)
+
+
+@pytest.mark.parametrize(
+    ("camera", "settings", "error", "message"),
+    [
+        (MONO, CameraSettings(width=10_000), CameraConfigError, r"Width = 10000 is refused: it must be \d+ to 4096"),
+        (MONO, CameraSettings(pixel_format="Mono9"), CameraConfigError, r"PixelFormat = Mono9 is refused: it takes "),
+        (MONO, CameraSettings(exposure_us=5.0), CameraConfigError, r"has no feature ExposureTime"),
+        ("SN_NOBODY", CameraSettings(), CameraLost, r"is not among the cameras of .*TLSimu.cti: SN_InterfaceA_0"),
+    ],
+)
+async def test_what_is_refused_is_named(
+    tlsimu: Path, camera: str, settings: CameraSettings, error: type[Exception], message: str
+) -> None:
+    found = HarvestersCamera(camera, [tlsimu], settings)
+    with pytest.raises(error, match=message):
+        await found.open(10.0)
+    assert found.process_id is None
+
+
+async def test_a_missing_producer_is_named() -> None:
+    with pytest.raises(CameraConfigError, match=r"there is no GenTL producer /nowhere/x\.cti"):
+        await HarvestersCamera("X", [Path("/nowhere/x.cti")]).open(5.0)
+
+
+async def test_our_own_producer_streams_over_gige_vision_and_takes_a_bad_frame_again(
+    producer: Path, gige: GigeCamera, pattern: CheckedPattern
+) -> None:
+    async with opened(gige.device.serial, producer, PLAIN) as camera:
+        for _ in range(20):
+            assert pattern.number_of((await camera.snap(2.0)).pixels) == gige.counts.triggers
+        gige.faults.apply("truncate 1")
+        assert pattern.number_of((await camera.snap(3.0)).pixels) == gige.counts.triggers
+        assert camera.statistics.retries == 1
+        gige.pulse()  # a frame that nobody asked for
+        async with asyncio.timeout(5.0):
+            while gige.counts.frames < gige.counts.triggers:  # noqa: ASYNC110 - its threads know no asyncio
+                await asyncio.sleep(0.01)
+        assert pattern.number_of((await camera.snap(3.0)).pixels) == gige.counts.triggers
+
+
+async def test_a_camera_that_went_comes_back_by_itself_through_our_own_producer(
+    producer: Path, address: str, program: Callable[..., object]
+) -> None:
+    options = ("--address", address, "--serial", f"P-{address}", "--width", "640", "--height", "480")
+    running = program(*options)
+    async with opened(f"P-{address}", producer, PLAIN) as camera:
+        await camera.snap(2.0)
+        running.signal(signal.SIGKILL)
+        async with asyncio.timeout(2.0):
+            with pytest.raises(CameraLost):
+                await camera.snap(1.5)
+        program(*options)
+        async with asyncio.timeout(20.0):
+            await camera.until(CameraState.READY)
+        await camera.snap(2.0)
+
+
+async def test_two_processes_cannot_both_control_a_camera(
+    aravis: AravisLibrary, producer: Path, gige: GigeCamera
+) -> None:
+    async with opened(gige.device.serial, producer, PLAIN) as camera:
+        second = HarvestersCamera(gige.device.serial, [producer], PLAIN)
+        with pytest.raises(CameraBusy, match="another client"):
+            await second.open(5.0)
+        await camera.snap(2.0)
+    async with asyncio.timeout(5.0):
+        while await look(gige.address, 0.5) is not Sight.FREE:  # noqa: ASYNC110 - it is another process
+            await asyncio.sleep(0.05)
+    other = AravisCamera(gige.address, PLAIN)
+    await other.open(5.0)
+    await other.close()
+
+
+UPDATE_TWICE = """
+import sys
+from harvesters.core import Harvester
+found = Harvester()
+found.add_file(sys.argv[1])
+for _ in range(3):
+    found.update()
+    serials = [device.serial_number for device in found.device_info_list]
+    assert sys.argv[2] in serials, serials
+    acquirer = found.create({"serial_number": sys.argv[2]})
+    nodes = acquirer.remote_device.node_map
+    nodes.TriggerMode.value = "Off"
+    for _ in range(2):
+        acquirer.start()
+        with acquirer.fetch(timeout=5.0) as buffer:
+            assert buffer.payload.components[0].data.size == 640 * 480
+        acquirer.stop()
+    acquirer.destroy()
+found.reset()
+print("done")
+"""
+
+
+def test_our_own_producer_survives_update_and_new_acquirers(producer: Path, gige: GigeCamera) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", UPDATE_TWICE, str(producer), gige.device.serial],
+        capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert done.stdout.endswith("done\n"), done.stderr
+
+
+def test_a_producer_that_cannot_be_built_says_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", "no-such-compiler")
+    with pytest.raises(ProducerBuildError, match=r"no-such-compiler is not installed; apt-get install"):
+        build(tmp_path)
+    assert not list(tmp_path.rglob("*.cti"))
