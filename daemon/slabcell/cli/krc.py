@@ -9,9 +9,11 @@ from typing import Annotated
 import typer
 
 from slabcell.errors import SlabcellError, UsageError
-from slabcell_drivers.krc import RunResult, SoftwareKrc, TraceEvent, read_project
+from slabcell_drivers.krc import KrlError, RunResult, SoftwareKrc, TraceEvent, read_project
+from slabcell_drivers.krc.motion import Trajectory
+from slabcell_drivers.krc.path_picture import draw_path, segment_of
 from slabcell_drivers.robot.arm import ArmModel, arm_by_name
-from slabcell_drivers.robot.frame import Frame
+from slabcell_drivers.robot.machine_data import MachineDataError, parse_machine_data
 
 __all__ = ["krc_app"]
 
@@ -31,7 +33,7 @@ def run(
     program: Annotated[str, typer.Argument(help="Program to select: NAME or NAME.src")],
     project: Annotated[Path, typer.Option("--project", help="Folder of .src and .dat files, in any depth")] = Path(),
     eki: Annotated[Path | None, typer.Option("--eki", help="Folder of EKI files; default: the project")] = None,
-    robot: Annotated[str, typer.Option("--robot", help="Robot model")] = "kr3r540",
+    robot: Annotated[str, typer.Option("--robot", help="Robot model, or the path of a $machine.dat")] = "kr3r540",
     speed: Annotated[str, typer.Option("--speed", help="1 = real time, 2 = twice as fast, …, or max")] = "max",
     address: Annotated[
         list[str] | None, typer.Option("--address", help="CHANNEL=HOST:PORT in place of the one in the EKI file")
@@ -39,7 +41,13 @@ def run(
     timeout_s: Annotated[float, typer.Option("--timeout", min=0.1, help="Give up after so many seconds")] = 300.0,
     seed: Annotated[int, typer.Option("--seed", help="Of everything that is left to chance")] = 0,
     trace: Annotated[str, typer.Option("--trace", help=f"Comma-separated: {','.join(TRACES)}")] = "",
-    path: Annotated[Path | None, typer.Option("--path", help="Draw the tool's path into this SVG file")] = None,
+    picture: Annotated[Path | None, typer.Option("--picture", help="Draw the tool's path into this SVG file")] = None,
+    assignments: Annotated[
+        list[str] | None, typer.Option("--set", help="Assignment in KRL before the start: TOOL_DATA[1]={Z 200,…}")
+    ] = None,
+    keep: Annotated[
+        Path | None, typer.Option("--keep", help="Folder for the data lists as they are at the end")
+    ] = None,
     *,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
@@ -52,21 +60,26 @@ def run(
         msg = f"{project}: there is no such folder; --project takes the folder that holds the .src and .dat files"
         raise UsageError(msg)
     recorder = _Recorder(_wanted(trace), echo=not as_json)
-    points: list[Frame] = []
+    moves: list[Trajectory] = []
     with SoftwareKrc(
         read_project(project),
         robot=_robot(robot),
         eki_configs=_channels(eki or project),
         eki_addresses=dict(_address(text) for text in address or ()),
-        io=_Path(points) if path is not None else None,
         seed=seed,
         speed=_speed(speed),
         trace=recorder.take,
-        trace_kinds=recorder.kinds | ({"path"} if path is not None else frozenset[str]()),
+        trace_kinds=recorder.kinds,
+        on_trajectory=moves.append if picture is not None else None,
     ) as krc:
+        for assignment in assignments or ():
+            _assign(krc, assignment)
         result = _run(krc, program, timeout_s)
-        if path is not None:
-            _write(path, _svg(points))
+        if picture is not None:
+            _write(picture, draw_path([segment_of(move) for move in moves], title=program).encode())
+        if keep is not None:
+            for name, content in krc.data_files().items():
+                _write(keep / name, content)
         _report(krc, result, recorder, as_json=as_json)
     if result.status != "done":
         raise typer.Exit(1)
@@ -142,39 +155,18 @@ class _Recorder:
             self.events.append(event)
 
 
-class _Path:
-    """The cell's side of the I/O: only the tool's path is kept."""
-
-    def __init__(self, points: list[Frame]) -> None:
-        self._points = points
-
-    def output_changed(self, index: int, value: bool, tcp: Frame) -> None:  # noqa: FBT001  # the wire's own signature
-        """Take no notice of outputs."""
-
-    def moved(self, tcp: Frame) -> None:
-        """Keep the place."""
-        self._points.append(tcp)
-
-
-def _svg(points: list[Frame], width: int = 800) -> str:
-    """Return the path seen from above (X up, Y to the left) and from the side, as an SVG picture."""
-    views = [[(-p.y_mm, -p.x_mm) for p in points], [(p.x_mm, -p.z_mm) for p in points]]
-    parts: list[str] = []
-    top = 20.0
-    for title, view in zip(("from above, X up, Y left", "from the side, X right, Z up"), views, strict=True):
-        xs, ys = [x for x, _ in view] or [0.0], [y for _, y in view] or [0.0]
-        scale = (width - 40) / max(max(xs) - min(xs), max(ys) - min(ys), 1.0)
-        shown = " ".join(f"{20 + (x - min(xs)) * scale:.1f},{top + 20 + (y - min(ys)) * scale:.1f}" for x, y in view)
-        parts.append(f'<text x="20" y="{top:.0f}" font-family="sans-serif" font-size="14">{title}</text>')
-        parts.append(f'<polyline points="{shown}" fill="none" stroke="#0a5" stroke-width="1.5"/>')
-        top += 60 + (max(ys) - min(ys)) * scale
-    body = "\n".join(parts)
-    return f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{top:.0f}">\n{body}\n</svg>\n'
-
-
-def _write(path: Path, text: str) -> None:
+def _assign(krc: SoftwareKrc, assignment: str) -> None:
     try:
-        path.write_text(text, encoding="utf-8")
+        krc.assign(assignment)
+    except KrlError as error:
+        msg = f"--set {assignment}: {error.text}"
+        raise UsageError(msg) from error
+
+
+def _write(path: Path, content: bytes) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
     except OSError as error:
         msg = f"{path}: cannot be written: {error.strerror}"
         raise SlabcellError(msg) from error
@@ -190,10 +182,15 @@ def _wanted(trace: str) -> frozenset[str]:
 
 
 def _robot(name: str) -> ArmModel:
+    """Return a known arm, or that of a controller's $machine.dat."""
+    path = Path(name)
     try:
-        return arm_by_name(name)
-    except (KeyError, ValueError) as error:
-        msg = f"--robot {name}: {error.args[0] if error.args else 'unknown'}"
+        return parse_machine_data(path.read_bytes()).arm if path.is_file() else arm_by_name(name)
+    except MachineDataError as error:
+        msg = f"--robot {name}: {error}"
+        raise UsageError(msg) from error
+    except ValueError as error:
+        msg = f"--robot: {error}; or give the path of a $machine.dat"
         raise UsageError(msg) from error
 
 

@@ -20,6 +20,7 @@ from slabcell_drivers.krc.eki_transport import Link
 from slabcell_drivers.krc.kernel import STATEMENT_S, Hooks, Kernel
 from slabcell_drivers.krc.loading import load_predefined, load_sources, read_project, stem_of
 from slabcell_drivers.krc.messages import KrlError, RunMessage
+from slabcell_drivers.krc.motion import Trajectory
 from slabcell_drivers.krc.motion_runner import Move
 from slabcell_drivers.krc.parser import parse
 from slabcell_drivers.krc.scope import ModuleScope
@@ -98,11 +99,13 @@ class SoftwareKrc:
         trace: Callable[[TraceEvent], None] | None = None,
         trace_kinds: frozenset[str] = frozenset({"motion", "io", "telegram", "message"}),
         dialog: Callable[[ShownMessage], int] | None = None,
+        on_trajectory: Callable[[Trajectory], None] | None = None,
         home_axes_deg: Axes = HOME,
         statement_s: float = STATEMENT_S,
     ) -> None:
         self._io = io
         self._trace = trace
+        self._on_trajectory = on_trajectory
         self._kinds = trace_kinds if trace is not None else frozenset[str]()
         hooks = Hooks(
             output_changed=self._output_changed,
@@ -327,6 +330,8 @@ class SoftwareKrc:
             self._emit("path", ",".join(f"{v:.3f}" for v in tcp.as_tuple()))
 
     def _move_started(self, move: Move) -> None:
+        if self._on_trajectory is not None:
+            self._on_trajectory(move.trajectory)
         if "motion" in self._kinds and self._trace is not None:
             order = move.order
             text = f"{order.kind} {' '.join(map(repr, order.points))} {move.trajectory.duration_s:.3f} s"
@@ -356,6 +361,14 @@ class SoftwareKrc:
     def set_data(self, module: str, name: str, value: object) -> None:
         """Set a variable from a number, text, Frame, dict or list.  Raises KrlError: not declared, or not fitting."""
         self._place(module, name).set(to_krl(value))
+
+    def assign(self, assignment: str) -> None:
+        """Carry out one assignment in KRL, such as ``TOOL_DATA[1]={X 0,Y 0,Z 200,A 0,B 0,C 0}``, on global data.
+
+        Raises KrlError if it is none, or not possible.
+        """
+        name, _, value = assignment.partition("=")
+        self._place("", name.strip()).set(self._kernel.evaluate_text(value.strip()))
 
     def data_files(self) -> dict[str, bytes]:
         """Return the project's data lists with the values of now: what the controller keeps over power-off."""
