@@ -61,6 +61,7 @@ class Fault(IntEnum):
     PLACEMENT_OUT_OF_TOLERANCE = 1901
     PLACEMENT_MISSING = 1902
     VERIFICATION_IMPOSSIBLE = 1903
+    ASSEMBLY_NOT_EMPTY = 1904
     CELL_NOT_ANSWERING = 2001  # from here on: found by the robot program itself
     RESULT_REFUSED = 2002
     WRONG_VERSION = 2003

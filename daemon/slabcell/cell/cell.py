@@ -315,7 +315,7 @@ class Cell:
             standing = self.alarms.standing
             return Reply(standing[-1].fault if standing else Fault.NOT_READY)
         job = await self._desk.job_for(request)
-        if job.state is not JobState.OPEN:
+        if job is not None and job.state is not JobState.OPEN:
             return Reply(ResultCode.JOB_COMPLETE)
         await self._handover.drop_unfinished(request)
         if self.state is CellState.OFFERING:

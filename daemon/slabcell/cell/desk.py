@@ -46,11 +46,17 @@ class JobDesk:
 
     def __init__(self, ledger: Ledger, recipe: Recipe, emit: Callable[[Event], None]) -> None:
         self.job: Job | None = None
+        self.finished: Job | None = None
         self._forgive = False
         self._forgiven_up_to = 0
         self._ledger = ledger
         self._recipe = recipe
         self._emit = emit
+
+    @property
+    def slot_count(self) -> int:
+        """How many slots a job has."""
+        return len(self._recipe.template.slots)
 
     async def take_up(self) -> str | None:
         """Take up the job that was open when the cell stopped.
@@ -58,31 +64,41 @@ class JobDesk:
         Returns what was abandoned, in words, if it belongs to another template.
         """
         job = await self._ledger.run(LedgerFile.last_job)
-        if job is None or job.state is not JobState.OPEN:
-            return None
-        if job.template_sha256 == self._recipe.template.sha256:
+        if job is None or job.template_sha256 != self._recipe.template.sha256:
+            if job is None or job.state is not JobState.OPEN:
+                return None
+            await self._abandon(job, "another recipe")
+            return f"job {job.job_id} of recipe {job.recipe} was open; the recipe now is {self._recipe.name}"
+        if job.state is JobState.OPEN:
             self.job = job
-            return None
-        await self._abandon(job, "another recipe")
-        return f"job {job.job_id} of recipe {job.recipe} was open; the recipe now is {self._recipe.name}"
+        elif job.state is JobState.COMPLETE:
+            self.finished = job
+        return None
 
-    async def job_for(self, request: Request) -> Job:
-        """Return the job that a trigger is for: the open one, the one just finished, or a new one."""
+    async def job_for(self, request: Request) -> Job | None:
+        """Return the job that a trigger is for: the open one, or the one just finished; None if one has to begin."""
         job = self.job
         if job is not None and request.job_id not in {0, job.robot_job}:
             if job.state is JobState.OPEN:
                 await self._abandon(job, f"the robot began job {request.job_id}")
-            job = None
-        if job is None:
-            recipe = self._recipe
-            job = await self._ledger.run(
-                lambda book: book.begin_job(
-                    request.job_id, recipe.name, recipe.template.sha256, len(recipe.template.slots)
-                )
-            )
-            self._emit(JobBegan(job))
-        self.job = job
-        return job
+            self.job = None
+        return self.job
+
+    async def begin(self, request: Request) -> Job:
+        """Begin a job."""
+        recipe = self._recipe
+        self.job = await self._ledger.run(
+            lambda book: book.begin_job(request.job_id, recipe.name, recipe.template.sha256, len(recipe.template.slots))
+        )
+        self.finished = None
+        self._emit(JobBegan(self.job))
+        return self.job
+
+    def still_lies(self) -> Job | None:
+        """Take the finished job for the present one again: it lies there still.  Returns it, or None."""
+        if self.finished is not None:
+            self.job = self.finished
+        return self.finished
 
     async def greet(self, request: Request) -> tuple[int, Settlement]:
         """Begin a session and settle what was under way; return its number and what came out."""
@@ -96,7 +112,7 @@ class JobDesk:
         for offer in outcome.moved:
             self._emit(ResultMoved(offer))
         if self.job is not None and self.job.state is not JobState.OPEN:
-            self.job = None  # a new run of the program fills a new template
+            self.job = None  # a new run of the program fills a new template, once the finished one is taken out
         return session, outcome
 
     async def offers(self) -> list[OfferRecord]:
@@ -152,10 +168,8 @@ class JobDesk:
 
     async def write_cycle(self, request: Request, pairs: Sequence[Pair]) -> list[OfferRecord]:
         """Write the results of a trigger."""
-        job = await self.job_for(request)
-        return await self._ledger.run(
-            lambda book: book.record_cycle(job.job_id, request.session, request.sequence, pairs)
-        )
+        job_id = self.job.job_id if self.job is not None else (await self.begin(request)).job_id
+        return await self._ledger.run(lambda book: book.record_cycle(job_id, request.session, request.sequence, pairs))
 
     async def move(
         self, offer: OfferRecord, state: OfferState, request: Request, reason: str = "", fault: Fault | None = None
@@ -198,7 +212,7 @@ class JobDesk:
             book.end_job(job.job_id, JobState.COMPLETE)
 
         await self._ledger.run(work)
-        self.job = replace(job, state=JobState.COMPLETE)
+        self.job = self.finished = replace(job, state=JobState.COMPLETE)
         self._emit(Verified(self.job, placements, final=True))
         self._emit(JobEnded(self.job))
         return self.job

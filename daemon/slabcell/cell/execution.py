@@ -32,6 +32,8 @@ _FINDING_FAULTS = (
 )
 """Alarms that end when something can be offered."""
 
+_HELD = {Fault.ASSEMBLY_NOT_EMPTY: HeldCause.OPERATOR, Fault.TRIED_TOO_OFTEN: HeldCause.OPERATOR}
+
 
 class Execution:
     """Runs one trigger at a time.  The state is `ready` before and after, or `offering` after."""
@@ -60,18 +62,20 @@ class Execution:
         self._clock = clock
         self._log = structlog.stdlib.get_logger("slabcell.cell")
 
-    async def run(self, request: Request, job: Job) -> Reply:
-        """Take a picture and do what it allows.  May raise LedgerError."""
+    async def run(self, request: Request, job: Job | None) -> Reply:
+        """Take a picture and do what it allows; without a job one begins.  May raise LedgerError."""
         began_s = self._clock()
         self._conditions.held = self._conditions.suspended = None
-        cycle = CycleRecord(0, job.job_id, request.session, request.sequence)
+        cycle = CycleRecord(0, job.job_id if job else 0, request.session, request.sequence)
         self._cycles.begin(cycle)
         await self._machine.fire(CellEvent.ACQUIRE, f"trigger {request.session}/{request.sequence}")
         try:
             reply = await self._look(request, job, cycle)
         except LookError as error:
             self._alarms.come(error.fault, str(error))
-            self._conditions.held = HeldCause.CAMERA if error.fault in CAMERA_FAULTS else HeldCause.NO_MATCH
+            self._conditions.held = _HELD.get(
+                error.fault, HeldCause.CAMERA if error.fault in CAMERA_FAULTS else HeldCause.NO_MATCH
+            )
             await self._machine.fire(CellEvent.ABANDON, str(error))
             reply = Reply(error.fault)
         cycle.times_ms["total"] = (self._clock() - began_s) * 1000
@@ -80,9 +84,15 @@ class Execution:
             self._cycles.end()
         return reply
 
-    async def _look(self, request: Request, job: Job, cycle: CycleRecord) -> Reply:
+    async def _look(self, request: Request, job: Job | None, cycle: CycleRecord) -> Reply:
         frame = await self._looking.acquire(cycle)
         self._alarms.cease(*CAMERA_FAULTS)
+        if job is None:
+            occupied = await self._occupied(frame, cycle)
+            if occupied is not None:
+                return occupied
+            job = await self._desk.begin(request)
+            cycle.job_id = job.job_id
         slots = await self._desk.slots(self._settings.attempts_per_slot)
         cycle.free_slots, cycle.laid_slots = slots.free, slots.laid
         if len(slots.laid) == job.slots:
@@ -105,6 +115,27 @@ class Execution:
         self._alarms.cease(*_FINDING_FAULTS)
         await self._machine.fire(CellEvent.OFFER, f"{len(written)} results")
         return Reply(left=len(written))
+
+    async def _occupied(self, frame: ImageFrame, cycle: CycleRecord) -> Reply | None:
+        """Return what to say if slabs lie where a new job shall be laid.
+
+        The finished job lies there until somebody takes it out.  That its robot did not hear that it is finished,
+        because the link broke just then, must not have it laid again, on top of itself.
+        """
+        if not self._settings.check_assembly_is_empty:
+            return None
+        slots = range(self._desk.slot_count)
+        lying = [item.slot for item in await self._looking.measure(frame, slots, cycle) if item.found]
+        cycle.placements = ()  # what lies there is not of this cycle
+        if not lying:
+            self._alarms.cease(Fault.ASSEMBLY_NOT_EMPTY)
+            return None
+        finished = self._desk.still_lies() if len(lying) == self._desk.slot_count else None
+        if finished is not None:
+            cycle.job_id = finished.job_id
+            await self._machine.fire(CellEvent.ABANDON, "the finished job lies there still")
+            return Reply(ResultCode.JOB_COMPLETE)
+        raise LookError(Fault.ASSEMBLY_NOT_EMPTY, f"something lies in slots {', '.join(map(str, lying))}")
 
     def _nothing_left(self, cycle: CycleRecord) -> Reply:
         if cycle.refused:

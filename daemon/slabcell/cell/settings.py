@@ -20,7 +20,8 @@ class CellSettings:
     ``pick_base`` (the table frame) and ``place_base`` (the assembly frame) lie in the robot's root frame, ``tool`` is
     the tool centre point in the flange's frame.  ``pick_area`` and the ``forbidden`` zones are in table coordinates:
     outside of the one nothing is picked, into the others neither tool nor slab is lowered.  A pose is approached and
-    left straight from ``approach_mm`` above.
+    left straight from ``approach_mm`` above.  Before a job begins, its slots are looked at: nothing is laid onto slabs
+    that lie there still (``check_assembly_is_empty``).
     """
 
     pick_base: Frame
@@ -33,6 +34,7 @@ class CellSettings:
     tolerance_mm: float = 0.5
     tolerance_deg: float = 0.5
     attempts_per_slot: int = 3
+    check_assembly_is_empty: bool = True
     camera_timeout_s: float = 2.0
     vision_timeout_s: float = 10.0
     busy_timeout_s: float = 5.0

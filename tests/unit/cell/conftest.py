@@ -12,8 +12,9 @@ import pytest
 from slabcell.calibration.model import Calibration, CameraIdentity, Lens, TablePlane
 from slabcell.cell.bundle_store import BundleWriter, Retention
 from slabcell.cell.cell import Cell
+from slabcell.cell.events import ResultMoved
 from slabcell.cell.ledger import Ledger
-from slabcell.cell.records import PlacementRecord
+from slabcell.cell.records import OfferState, PlacementRecord
 from slabcell.cell.settings import CellSettings
 from slabcell.geometry import PlanarPose, Polygon, RigidTransform2D
 from slabcell.recipe import Recipe
@@ -80,6 +81,7 @@ class ScriptedEyes:
     on_table: set[int] = field(default_factory=lambda: set(range(SLOTS)))
     rejected: int = 0
     far_away: set[int] = field(default_factory=set)
+    lying: set[int] = field(default_factory=set)
     missing: set[int] = field(default_factory=set)
     offset_mm: float = 0.01
     problem: Exception | None = None
@@ -111,7 +113,8 @@ class ScriptedEyes:
             raise self.problem
         self.measured.append(tuple(slots))
         return tuple(
-            PlacementRecord(slot, slot not in self.missing, self.offset_mm, 0.0, 0.0, 0.02) for slot in sorted(slots)
+            PlacementRecord(slot, slot in self.lying - self.missing, self.offset_mm, 0.0, 0.0, 0.02)
+            for slot in sorted(slots)
         )
 
 
@@ -214,8 +217,14 @@ class Bench:
             clock=self.clock,
         )
         self.cell.subscribe(self.events.append)
+        self.cell.subscribe(self.lay)
         self.robot = ScriptedRobot(self.cell)
         await self.cell.start()
+
+    def lay(self, event: Any) -> None:
+        """Let the eyes see what the robot has laid."""
+        if isinstance(event, ResultMoved) and event.offer.state is OfferState.PLACED:
+            self.eyes.lying.add(event.offer.slot)
 
     async def stop(self) -> None:
         await self.cell.stop()

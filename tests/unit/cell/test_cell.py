@@ -209,7 +209,7 @@ async def test_only_free_slots_are_matched_and_laid_ones_are_measured(bench):
     bench.eyes.on_table = {0, 1, 2}
     await bench.robot.trigger()
     assert bench.eyes.asked[-1] == (1, 2)
-    assert bench.eyes.measured == [(0,)]
+    assert bench.eyes.measured == [(0, 1, 2), (0,)]
 
 
 async def test_after_a_failed_pick_the_rest_of_the_picture_is_void(bench):
@@ -296,9 +296,30 @@ async def test_after_the_job_a_trigger_answers_complete_until_the_program_greets
     snaps = bench.camera.snaps
     assert (await bench.robot.trigger()).code == ResultCode.JOB_COMPLETE
     assert bench.camera.snaps == snaps
+    bench.eyes.lying.clear()
     await bench.robot.hello()
     assert (await bench.robot.trigger()).left == 3
     assert bench.cell.job.job_id == 2
+
+
+async def test_a_finished_job_that_lies_there_still_is_not_laid_again_on_top_of_itself(bench):
+    await bench.robot.hello()
+    await bench.robot.lay_all()
+    await bench.restart()
+    await bench.robot.hello()
+    assert (await bench.robot.trigger()).code == ResultCode.JOB_COMPLETE
+    assert len(await bench.ledger.run(lambda book: book.rows("jobs"))) == 1
+
+
+async def test_no_job_begins_where_something_lies(bench):
+    await bench.robot.hello()
+    bench.eyes.lying = {1}
+    assert (await bench.robot.trigger()).code == Fault.ASSEMBLY_NOT_EMPTY
+    assert bench.cell.held is HeldCause.OPERATOR
+    assert await bench.states() == {}
+    bench.eyes.lying.clear()
+    assert (await bench.robot.trigger()).left == 3
+    assert bench.cell.alarms.standing == ()
 
 
 async def test_another_job_number_begins_another_job(bench):
@@ -306,6 +327,7 @@ async def test_another_job_number_begins_another_job(bench):
     await bench.robot.hello()
     await bench.robot.lay_all()
     bench.robot.job_id = 8
+    bench.eyes.lying.clear()
     assert (await bench.robot.trigger()).left == 3
     assert (bench.cell.job.job_id, bench.cell.job.robot_job) == (2, 8)
 

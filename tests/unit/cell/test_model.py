@@ -51,6 +51,7 @@ class CellUnderFaults(RuleBasedStateMachine):
         return self.runner.run(work)
 
     def look(self):
+        self.bench.eyes.lying = set(self.slot_of.values())
         self.bench.eyes.on_table = {slab for slab, place in self.where.items() if place == "table"}
 
     @property
