@@ -114,3 +114,10 @@ def test_programs_are_ascii_in_lines_a_smartpad_can_show():
         if name.endswith(".src"):
             for number, line in enumerate(raw.decode().splitlines(), 1):
                 assert len(line) <= 90, f"{name}:{number}"
+
+
+def test_programs_that_compute_their_paths_are_not_said_to_leave_elements_unread():
+    without = changed("VT.src", 'RET=EKI_GetInt(VT_CH[],"Vis/Res/@Idx",N)\n', "")
+    assert any("Vis/Res/@Idx has a memory" in text for text in said(without))
+    computed = changed("VT.src", 'RET=EKI_GetInt(VT_CH[],"Vis/Res/@Idx",N)\n', "RET=EKI_GetInt(VT_CH[],PATH[],N)\n")
+    assert said(computed) == []

@@ -2,7 +2,7 @@
 
 Checked for every channel: a path in an EKI call is configured, on the right side, with the right type; what is
 configured is sent and read, because EKI leaves out an element that was never set and closes the connection when a
-memory that nobody reads is full.  Checked for our own channel besides: its elements are exactly those of the schema,
+memory that nobody reads is full (not where a program computes its paths).  Checked for our own channel besides: its elements are exactly those of the schema,
 and its flags are those of the programs.  The rules of the language are not this module's question.
 """
 
@@ -46,6 +46,7 @@ _CALL = re.compile(
     r'\s*\(\s*(?P<channel>"[^"]*"|[A-Z_$][\w$]*\s*\[\s*\])\s*,\s*"(?P<path>[^"]*)"',
     re.IGNORECASE,
 )
+_CALL_WITH_VARIABLE_PATH = re.compile(r'\bEKI_(?:GET|SET)\w+\s*\(\s*[^,()]+,\s*[^"\s]', re.IGNORECASE)
 _TEXT_VALUE = re.compile(r'\b([A-Z_$][\w$]*)\s*\[\s*\]\s*=\s*"([^"]*)"', re.IGNORECASE)
 _INT_VALUE = re.compile(r"\bINT\s+([A-Z_$][\w$]*)\s*=\s*([0-9]+)", re.IGNORECASE)
 
@@ -72,11 +73,13 @@ def check(files: Mapping[str, bytes]) -> list[Finding]:
                 if channel is not None:
                     channels.append(channel)
     calls = _calls(sources)
+    computed_paths = any(_CALL_WITH_VARIABLE_PATH.search(_without_comments(text)) for text in sources.values())
     for channel in channels:
         if _is_ours(channel):
             findings += _against_schema(channel)
             findings += _flags(channel, sources)
-        findings += _unused(channel, channels, calls)
+        if not computed_paths:
+            findings += _unused(channel, channels, calls)
     if channels:
         findings += [finding for call in calls for finding in _against_channels(call, channels)]
     return sorted(findings, key=lambda finding: (finding.file, finding.line, finding.message))
