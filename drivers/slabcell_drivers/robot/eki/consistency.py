@@ -2,8 +2,9 @@
 
 Checked for every channel: a path in an EKI call is configured, on the right side, with the right type; what is
 configured is sent and read, because EKI leaves out an element that was never set and closes the connection when a
-memory that nobody reads is full (not where a program computes its paths).  Checked for our own channel besides: its elements are exactly those of the schema,
-and its flags are those of the programs.  The rules of the language are not this module's question.
+memory that nobody reads is full (not where a program computes its paths).  Checked for our own channel besides: its
+elements are exactly those of the schema, and its flags are those of the programs.  The rules of the language are not
+this module's question.
 """
 
 import re
