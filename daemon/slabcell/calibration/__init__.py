@@ -7,7 +7,15 @@ from slabcell.calibration.detection import Detection, detect_board, detect_board
 from slabcell.calibration.file import from_document as calibration_from_document
 from slabcell.calibration.file import load_calibration, save_calibration
 from slabcell.calibration.file import to_document as calibration_to_document
-from slabcell.calibration.handeye import HandEyeMethod, HandEyeResult, Mount, RobotPose, calibrate_hand_eye, load_poses
+from slabcell.calibration.handeye import (
+    HandEyeMethod,
+    HandEyeResult,
+    Mount,
+    RobotPose,
+    calibrate_hand_eye,
+    load_poses,
+    parse_pose,
+)
 from slabcell.calibration.model import Calibration, CameraIdentity, HandEye, Lens, TablePlane
 from slabcell.calibration.plane import PlaneResult, calibrate_plane
 from slabcell.calibration.touch import Touch, TouchFit, load_touch
@@ -45,5 +53,6 @@ __all__ = [
     "load_marks",
     "load_poses",
     "load_touch",
+    "parse_pose",
     "save_calibration",
 ]

@@ -32,6 +32,7 @@ from slabcell.calibration import (
     load_marks,
     load_poses,
     load_touch,
+    parse_pose,
     save_calibration,
 )
 from slabcell.calibration.coverage import draw_coverage
@@ -179,6 +180,12 @@ def hand_eye_command(
             "--robot-deg", min=1e-5, max=45, help="Standard deviation of a robot pose, degrees; estimated if not given."
         ),
     ] = None,
+    photo_pose: Annotated[
+        str | None,
+        typer.Option(
+            "--photo-pose", metavar="X,Y,Z,A,B,C", help="For eye-in-hand: the flange when the table was calibrated."
+        ),
+    ] = None,
     *,
     as_json: AsJson = False,
 ) -> None:
@@ -186,9 +193,18 @@ def hand_eye_command(
     before = load_calibration(calibration)
     shown = Board.parse(board)
     known = load_poses(poses)
+    stand = None if photo_pose is None else parse_pose(photo_pose, "--photo-pose")
     detections, failures = _detect(images, shown, quiet=as_json)
     result = calibrate_hand_eye(
-        before, detections, known, shown, mount, method=method, robot_mm=robot_mm, robot_deg=robot_deg
+        before,
+        detections,
+        known,
+        shown,
+        mount,
+        method=method,
+        robot_mm=robot_mm,
+        robot_deg=robot_deg,
+        photo_pose=stand,
     )
     save_calibration(out, result.calibration)
     if as_json:

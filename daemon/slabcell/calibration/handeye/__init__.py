@@ -2,7 +2,7 @@
 
 from slabcell.calibration.handeye.calibrate import HandEyeResult, calibrate_hand_eye, kuka_frame
 from slabcell.calibration.handeye.solve import HandEyeMethod, Placement, place_camera
-from slabcell.calibration.handeye.stations import Mount, RobotPose, Stations, load_poses, make_stations
+from slabcell.calibration.handeye.stations import Mount, RobotPose, Stations, load_poses, make_stations, parse_pose
 
 __all__ = [
     "HandEyeMethod",
@@ -15,5 +15,6 @@ __all__ = [
     "kuka_frame",
     "load_poses",
     "make_stations",
+    "parse_pose",
     "place_camera",
 ]

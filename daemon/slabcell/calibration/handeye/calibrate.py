@@ -21,7 +21,7 @@ from slabcell.calibration.handeye.diagnose import (
     other_readings,
     outlying,
 )
-from slabcell.calibration.handeye.motion import Array, rigid
+from slabcell.calibration.handeye.motion import Array, kuka_matrix, rigid
 from slabcell.calibration.handeye.solve import HandEyeMethod, Placement, place_camera
 from slabcell.calibration.handeye.stations import Mount, RobotPose, Stations, make_stations
 from slabcell.calibration.model import Calibration, HandEye
@@ -42,7 +42,7 @@ class HandEyeResult:
 
     ``camera`` and ``board`` are KUKA frames X Y Z A B C: for eye-to-hand the camera in the base and the board on the
     flange, for eye-in-hand the camera on the flange and the board in the base.  ``table`` is the table frame in the
-    base, where the calibration knows the table and the camera does not move.
+    base, where the calibration knows the table, and where the robot stood when a camera on its flange saw it.
     """
 
     calibration: Calibration
@@ -85,11 +85,13 @@ def calibrate_hand_eye(
     method: HandEyeMethod = "joint",
     robot_mm: float | None = None,
     robot_deg: float | None = None,
+    photo_pose: RobotPose | None = None,
 ) -> HandEyeResult:
     """Return the calibration with the place of the camera.
 
-    Stations that disagree with all others are named and left out.  Raises CalibrationError where the poses leave the
-    camera's place open, or where they fit the other mount or another reading of the angles.
+    ``photo_pose`` is where the robot stands when it looks at the table; a camera on the flange needs it to give the
+    table's frame in the base.  Stations that disagree with all others are named and left out.  Raises CalibrationError
+    where the poses leave the camera's place open, or where they fit the other mount or another reading of the angles.
     """
     if board.turns_alike:
         raise CalibrationError(
@@ -121,7 +123,7 @@ def calibrate_hand_eye(
         method,
         kuka_frame(placement.camera),
         kuka_frame(placement.board),
-        _table(done, placement),
+        _table(done, placement, photo_pose),
         tuple(board_residuals(everything, mount, placement)),
         tuple(left_out),
         float(np.sqrt(np.mean([r.px**2 for r in held]))),
@@ -149,11 +151,14 @@ def kuka_frame(motion: Array) -> tuple[float, ...]:
     return (*(float(v) for v in motion[:3, 3]), *(float(v) for v in angles))
 
 
-def _table(calibration: Calibration, placement: Placement) -> tuple[float, ...] | None:
+def _table(calibration: Calibration, placement: Placement, photo_pose: RobotPose | None) -> tuple[float, ...] | None:
     hand_eye, plane = calibration.hand_eye, calibration.plane
-    if hand_eye is None or plane is None or hand_eye.mount != "eye-to-hand":
+    if hand_eye is None or plane is None:
         return None
-    return kuka_frame(placement.camera @ rigid(plane.rotation, plane.translation))
+    table = placement.camera @ rigid(plane.rotation, plane.translation)
+    if hand_eye.mount == "eye-to-hand":
+        return kuka_frame(table)
+    return None if photo_pose is None else kuka_frame(kuka_matrix(np.array(photo_pose.frame))[0] @ table)
 
 
 def _require_diversity(stations: Stations) -> Diversity:

@@ -55,16 +55,19 @@ def estimate_jointly(
     noise = np.log(np.array([robot_mm or USUAL_MM, np.deg2rad(robot_deg or USUAL_DEG)]))
     free = [n for n, given in enumerate((robot_mm, robot_deg)) if given is None]
     covariance = np.eye(12)
+    settled = False
     for rounds in range(MAX_ROUNDS):
         error, by_motion, by_robot = _linearised(stations, mount, camera, board)
-        if free and rounds < 6:
+        if free and not settled:
+            before = noise
             noise = _estimate_noise(noise, free, error, by_motion, by_robot, vision)
+            settled = rounds > 0 and float(np.abs(noise - before).max()) < 0.01
         weight = np.asarray(np.linalg.inv(_spread(noise, by_robot, vision)), np.float64)
         normal, gradient = _normal_equations(error, by_motion, weight)
         covariance = _inverse(normal)
         step = -covariance @ gradient
         camera, board = camera @ motion_exp(step[:6]), board @ motion_exp(step[6:])
-        if float(np.abs(step).max()) < 1e-10:
+        if float(np.abs(step).max()) < 1e-9:
             break
     return JointEstimate(camera, board, covariance, float(np.exp(noise[0])), float(np.rad2deg(np.exp(noise[1]))))
 

@@ -17,9 +17,9 @@ from slabcell.calibration.detection import Detection, best_variant
 from slabcell.calibration.handeye.motion import Array, hat, inverse, kuka_matrix, rigid
 from slabcell.calibration.model import Calibration, Lens
 from slabcell.calibration.projection import board_pose, project, rms_length
-from slabcell.errors import CalibrationError
+from slabcell.errors import CalibrationError, UsageError
 
-__all__ = ["Mount", "RobotPose", "Stations", "load_poses", "make_stations"]
+__all__ = ["Mount", "RobotPose", "Stations", "load_poses", "make_stations", "parse_pose"]
 
 Mount = Literal["eye-to-hand", "eye-in-hand"]
 
@@ -132,6 +132,18 @@ def _by_name(poses: Sequence[RobotPose]) -> dict[str, RobotPose]:
             raise CalibrationError(f"the poses file names {pose.image} twice: each picture has one robot pose")
         found[pose.image] = pose
     return found
+
+
+def parse_pose(text: str, name: str) -> RobotPose:
+    """Return the pose written as X,Y,Z,A,B,C (mm, degrees).  Raises UsageError."""
+    try:
+        values = [float(part) for part in text.split(",")]
+        x, y, z, a, b, c = values
+    except ValueError as error:
+        raise UsageError(f"{name} {text[:80]!r} is not X,Y,Z,A,B,C (mm and degrees)") from error
+    if not (all(abs(v) <= MAX_MM for v in (x, y, z)) and all(abs(v) <= MAX_DEG for v in (a, b, c))):
+        raise UsageError(f"{name} {text[:80]!r} has a value outside ±{MAX_MM:g} mm or ±{MAX_DEG:g}°")
+    return RobotPose(name, (x, y, z, a, b, c))
 
 
 def load_poses(path: Path) -> list[RobotPose]:
