@@ -4,11 +4,13 @@ import asyncio
 import contextlib
 import itertools
 import math
+import random
 from pathlib import Path
 
 import pytest
 
-from slabcell_drivers.krc.controller import SoftwareKrc, read_project
+from slabcell_drivers.krc import SoftwareKrc, read_project
+from slabcell_drivers.krc.eki_channel import Segmentation, WireOptions
 from slabcell_drivers.robot.arm import KR3_R540
 from slabcell_drivers.robot.eki import Direction, EkiClient, EkiServer
 from slabcell_drivers.robot.frame import Frame
@@ -435,3 +437,14 @@ async def test_a_cell_of_another_version_is_named():
             result = await run(krc)
             assert result.status == "halted"
             assert krc.messages[-1].text == "2003 Cell speaks another version. Install its programs."
+
+
+@pytest.mark.parametrize("segmentation", list(Segmentation))
+async def test_the_job_is_done_whatever_liberties_the_controller_takes_on_the_wire(segmentation):
+    table, cell = Table(on_table(PAIRS)), ScriptedCell(PAIRS)
+    wire = WireOptions(shuffle_attributes=True, segmentation=segmentation)
+    async with serving(cell) as link:
+        with controller(table, link.address, eki_wire=wire, seed=random.randrange(10**6)) as krc:
+            assert (await run(krc)).status == "done"
+    assert_laid(table, PAIRS)
+    assert sorted(table.picks) == list(range(len(PAIRS)))
