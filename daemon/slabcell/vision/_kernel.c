@@ -16,7 +16,7 @@
 #define STEP 3
 #define ITERATIONS 5
 #define WIDE_WALL_PX 14.0
-#define CONVERGED_PX 0.03
+#define CONVERGED_PX 0.08
 #define SQRT_2_PI 2.5066282746310002
 
 /* The normal distribution on -TABLE_REACH ... TABLE_REACH in steps of 1/TABLE_STEPS, density and integral in turn. */

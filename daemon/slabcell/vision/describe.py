@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from slabcell.geometry import Points, Polygon
 from slabcell.vision.blobs import RawBlob
-from slabcell.vision.outline import area_and_centroid, offset_outward, polar_inertia, resample
+from slabcell.vision.outline import Rings
 from slabcell.vision.plane import PlaneView
 
 __all__ = ["SAMPLES", "Shapes", "describe_blobs", "describe_polygons"]
@@ -41,20 +41,19 @@ class Shapes:
         return len(self.middle)
 
 
+def describe_rings(rings: Rings) -> Shapes:
+    """Return the features of polygons in mm, whichever way they turn."""
+    rings = rings.counter_clockwise()
+    area, centroid, inertia = rings.moments
+    points = rings.resampled(SAMPLES)
+    samples = points[:, :, 0] + 1j * points[:, :, 1]
+    middle = samples.mean(axis=1)
+    return Shapes(samples - middle[:, None], middle, np.abs(area), inertia, centroid)
+
+
 def describe_polygons(polygons: Sequence[Points]) -> Shapes:
-    """Return the features of polygons (n, 2) in mm, whichever way they turn."""
-    count = len(polygons)
-    samples = np.zeros((count, SAMPLES), np.complex128)
-    area, inertia = np.zeros(count), np.zeros(count)
-    centroid = np.zeros((count, 2))
-    for index, polygon in enumerate(polygons):
-        signed, centroid[index] = area_and_centroid(polygon)
-        points = resample(polygon if signed >= 0 else polygon[::-1], SAMPLES)
-        samples[index] = points[:, 0] + 1j * points[:, 1]
-        area[index] = abs(signed)
-        inertia[index] = polar_inertia(polygon)
-    middle = samples.mean(axis=1) if count else np.zeros(0, np.complex128)
-    return Shapes(samples - middle[:, None], middle, area, inertia, centroid)
+    """Return the features of polygons (n, 2) in mm."""
+    return describe_rings(Rings.of(polygons))
 
 
 def describe_slots(slots: Sequence[Polygon]) -> Shapes:
@@ -67,14 +66,11 @@ def describe_blobs(blobs: Sequence[RawBlob], plane: PlaneView, *, without_walls:
 
     ``without_walls``: take away from each outline the strip in which the wall of a slab of that height is seen.
     """
-    polygons: list[Points] = []
-    for blob in blobs:
-        polygon = plane.from_pixels(blob.polygon)
-        signed, _ = area_and_centroid(polygon)
-        # Half a pixel: the outline runs through the centres of the blob's own pixels, its edge is outside of them.
-        outline = offset_outward(polygon if signed >= 0 else polygon[::-1], 0.5 * plane.mm_per_px)
-        polygons.append(_without_wall(outline, plane) if without_walls else outline)
-    return describe_polygons(polygons)
+    seen = Rings.of([blob.polygon for blob in blobs])
+    rings = seen.moved(plane.from_pixels(seen.points)).counter_clockwise()
+    # Half a pixel: the outline runs through the centres of the blob's own pixels, its edge is outside of them.
+    rings = rings.offset_outward(0.5 * plane.mm_per_px)
+    return describe_rings(_without_walls(rings, plane) if without_walls else rings)
 
 
 def has_visible_walls(plane: PlaneView) -> bool:
@@ -85,19 +81,19 @@ def has_visible_walls(plane: PlaneView) -> bool:
     return bool(np.max(np.hypot(shift[:, 0], shift[:, 1])) > MIN_WALL_PX * plane.mm_per_px)
 
 
-def _without_wall(outline: Points, plane: PlaneView) -> Points:
-    """Return the outline of the upper face alone.
+def _without_walls(rings: Rings, plane: PlaneView) -> Rings:
+    """Return the outlines of the upper faces alone.
 
     The silhouette of a slab is its upper face swept along the shift of its foot: where the outline faces that way it
     has moved by the shift, elsewhere it is the upper face's own.
     """
-    _, centre = area_and_centroid(outline)
-    shift = plane.foot_shift(centre[None, :])[0]
-    size = float(np.hypot(*shift))
-    if size < MIN_WALL_PX * plane.mm_per_px:
-        return outline
-    points = resample(outline, WALL_SAMPLES)
-    tangent = np.roll(points, -2, axis=0) - np.roll(points, 2, axis=0)
-    length = np.maximum(np.hypot(tangent[:, 0], tangent[:, 1]), 1e-9)
-    facing = (tangent[:, 1] * shift[0] - tangent[:, 0] * shift[1]) / (length * size)
-    return points - np.clip(facing / 0.3, 0.0, 1.0)[:, None] * shift
+    shift = plane.foot_shift(rings.moments[1])
+    size = np.hypot(shift[:, 0], shift[:, 1])
+    points = rings.resampled(WALL_SAMPLES)
+    tangent = np.roll(points, -2, axis=1) - np.roll(points, 2, axis=1)
+    length = np.maximum(np.hypot(tangent[:, :, 0], tangent[:, :, 1]), 1e-9)
+    cross = tangent[:, :, 1] * shift[:, None, 0] - tangent[:, :, 0] * shift[:, None, 1]
+    facing = np.clip(cross / (length * np.maximum(size, 1e-9)[:, None]) / 0.3, 0.0, 1.0)
+    facing[size < MIN_WALL_PX * plane.mm_per_px] = 0.0
+    stripped = points - facing[:, :, None] * shift[:, None, :]
+    return Rings(stripped.reshape(-1, 2), np.arange(len(rings) + 1) * WALL_SAMPLES)

@@ -29,7 +29,7 @@ COLUMNS = 6
 STEP = 3
 ITERATIONS = 5
 # After a step smaller than this the next one would be smaller than 1e-3 px.
-CONVERGED_PX = 0.03
+CONVERGED_PX = 0.08
 # A wall wider than this is a second edge far enough away: the profile ends before it.
 WIDE_WALL_PX = 14.0
 SQRT_2_PI = float(np.sqrt(2.0 * np.pi))

@@ -103,18 +103,26 @@ def _correlate(
 ) -> list[Candidate]:
     blob, slot = pairs.T
     product = blob_spectra[blob] * slot_spectra[slot]
-    padded = np.zeros((len(pairs), FINE), np.complex128)
+    energy = np.mean(np.abs(blobs.samples[blob]) ** 2, axis=1) + np.mean(np.abs(slots.samples[slot]) ** 2, axis=1)
+    # Without interpolation first, which tells most pairs apart: half a sample along the outline is allowed for.
+    strongest = np.abs(np.fft.ifft(product, axis=1)).max(axis=1) / SAMPLES
+    spacing = np.abs(slots.samples[:, 1] - slots.samples[:, 0])
+    hopeful = energy - 2.0 * strongest <= limit_mm[slot] ** 2 + (0.5 * spacing[slot]) ** 2
+    product, energy, blob, slot = product[hopeful], energy[hopeful], blob[hopeful], slot[hopeful]
+    padded = np.zeros((len(product), FINE), np.complex128)
     padded[:, : SAMPLES // 2] = product[:, : SAMPLES // 2]
     padded[:, -SAMPLES // 2 :] = product[:, SAMPLES // 2 :]
     # Mean over the samples of blob·conj(slot) for every starting point.
     overlap = np.fft.ifft(padded, axis=1) * (FINE / SAMPLES**2)
-    energy = np.mean(np.abs(blobs.samples[blob]) ** 2, axis=1) + np.mean(np.abs(slots.samples[slot]) ** 2, axis=1)
     strength = np.abs(overlap)
-    peak = (strength >= np.roll(strength, 1, axis=1)) & (strength > np.roll(strength, -1, axis=1))
-    distance = np.sqrt(np.maximum(energy[:, None] - 2.0 * strength, 0.0))
-    peak &= distance <= limit_mm[slot][:, None]
+    # Near enough first: that leaves few places at which to look for maxima.
+    square = energy[:, None] - 2.0 * strength
+    rows, starts = np.nonzero(square <= (limit_mm[slot] ** 2)[:, None])
+    here = strength[rows, starts]
+    peak = (here >= strength[rows, starts - 1]) & (here > strength[rows, (starts + 1) % FINE])
+    rows, starts = rows[peak], starts[peak]
+    distance = np.sqrt(np.maximum(square, 0.0))
     found: list[Candidate] = []
-    rows, starts = np.nonzero(peak)
     order = np.lexsort((distance[rows, starts], rows))
     taken: dict[int, int] = {}
     for index in order:

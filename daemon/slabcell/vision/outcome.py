@@ -9,6 +9,7 @@ from slabcell.geometry import PlanarPose, Points, RigidTransform2D, normalize_de
 from slabcell.vision.blobs import RawBlob
 from slabcell.vision.classic import classic_distances
 from slabcell.vision.describe import Shapes
+from slabcell.vision.grasp import Grasp
 from slabcell.vision.matching import Candidate, assign, find_candidates
 from slabcell.vision.prepared import Prepared
 from slabcell.vision.registration import Registration
@@ -98,7 +99,7 @@ class Outcome:
                 self._refused[index] = (RejectionReason.NO_SLOT_FITS, f"nearest is {failed[index][1]}")
         allowed = cost.copy()
         allowed[:, [slot for slot in range(len(prepared.slots)) if slot not in self._free]] = np.inf
-        parts: list[LocatedPart] = []
+        chosen: list[tuple[Registration, Grasp]] = []
         placed: set[int] = set()
         for blob, slot in assign(allowed):
             placed.add(blob)
@@ -106,14 +107,14 @@ class Outcome:
             if grasp.point is None:
                 self._refused[blob] = (RejectionReason.NO_GRASP, f"slot {slot}: {grasp.refusal}")
             else:
-                parts.append(self._part(best[(blob, slot)], grasp.point, grasp.turn_deg))
+                chosen.append((best[(blob, slot)], grasp))
         for blob in sorted(possible - placed):
             slots = ", ".join(str(slot) for other, slot in sorted(best) if other == blob)
             self._refused[blob] = (
                 RejectionReason.SLOT_TAKEN,
                 f"fits slot {slots}, which is filled or goes to a slab that fits better",
             )
-        return sorted(parts, key=lambda part: part.slot), self._rejected()
+        return sorted(self._parts(chosen), key=lambda part: part.slot), self._rejected()
 
     def _fault(self, registration: Registration) -> str:
         """Return why a registration is not accepted, or nothing."""
@@ -133,32 +134,57 @@ class Outcome:
         relative = registration.residual_mm / self._prepared.recipe.matching.max_residual_mm
         return max(0.0, registration.coverage * (1.0 - 0.2 * relative**2))
 
-    def _part(self, registration: Registration, grasp: Points, turn_deg: float) -> LocatedPart:
+    def _parts(self, chosen: list[tuple[Registration, Grasp]]) -> list[LocatedPart]:
+        """Return the located parts; all that is wanted in pixels is projected together."""
+        prepared = self._prepared
+        if not chosen:
+            return []
+        motions: list[RigidTransform2D] = []
+        points: list[Points] = []
+        for registration, grasp in chosen:
+            slot = registration.candidate.slot
+            motion = _least_turn(registration.motion, prepared.slots[slot].centroid, prepared.orders[slot])
+            here = motion.apply(_point(grasp))
+            direction = np.deg2rad(motion.rotation_deg)
+            ahead = here + 5.0 * prepared.plane.mm_per_px * np.array([np.cos(direction), np.sin(direction)])
+            motions.append(motion)
+            points += [here[None, :], ahead[None, :], motion.apply(prepared.slots[slot].vertices)]
+        pixels = np.split(
+            prepared.plane.to_pixels(np.concatenate(points)), np.cumsum([len(item) for item in points])[:-1]
+        )
+        return [
+            self._part(
+                registration, grasp, motion, pixels[3 * index][0], pixels[3 * index + 1][0], pixels[3 * index + 2]
+            )
+            for index, ((registration, grasp), motion) in enumerate(zip(chosen, motions, strict=True))
+        ]
+
+    def _part(
+        self,
+        registration: Registration,
+        grasp: Grasp,
+        motion: RigidTransform2D,
+        middle: Points,
+        ahead: Points,
+        outline_px: Points,
+    ) -> LocatedPart:
         prepared = self._prepared
         slot = registration.candidate.slot
-        order = prepared.orders[slot]
-        motion = _least_turn(registration.motion, prepared.slots[slot].centroid, order)
-        pick_x, pick_y = motion.apply(grasp)
-        pick = PlanarPose(float(pick_x), float(pick_y), normalize_deg(motion.rotation_deg + turn_deg))
-        place = PlanarPose(float(grasp[0]), float(grasp[1]), turn_deg)
-        direction = np.deg2rad(motion.rotation_deg)
-        reach = 5.0 * prepared.plane.mm_per_px * np.array([np.cos(direction), np.sin(direction)])
-        here = np.array([pick_x, pick_y])
-        middle, ahead = prepared.plane.to_pixels(np.array([here, here + reach]))
+        point = _point(grasp)
+        here = motion.apply(point)
+        x, y, angle = _sigma_at(registration.covariance, here - motion.apply(prepared.slots[slot].centroid))
         seen = ahead - middle
-        centre = motion.apply(prepared.slots[slot].centroid)
-        x, y, angle = _sigma_at(registration.covariance, here - centre)
         return LocatedPart(
             slot=slot,
             score=self._score(registration),
             residual_mm=registration.residual_mm,
-            symmetry_order=order,
+            symmetry_order=prepared.orders[slot],
             image=ImagePose(float(middle[0]), float(middle[1]), float(np.rad2deg(np.arctan2(-seen[1], seen[0])))),
             table_to_assembly=motion.inverse(),
-            pick=pick,
-            place=place,
+            pick=PlanarPose(float(here[0]), float(here[1]), normalize_deg(motion.rotation_deg + grasp.turn_deg)),
+            place=PlanarPose(float(point[0]), float(point[1]), grasp.turn_deg),
             sigma=Sigma(x, y, angle),
-            outline_px=prepared.plane.to_pixels(motion.apply(prepared.slots[slot].vertices)),
+            outline_px=outline_px,
             kerf_mm=registration.kerf_mm,
             coverage=registration.coverage,
         )
@@ -173,6 +199,13 @@ class Outcome:
         return rejected
 
 
+def _point(grasp: Grasp) -> Points:
+    if grasp.point is None:
+        msg = "a slab without a grasp point is never located"
+        raise ValueError(msg)
+    return grasp.point
+
+
 def _least_turn(motion: RigidTransform2D, middle: Points, order: int) -> RigidTransform2D:
     """Return, of the motions that look alike, the one that turns least."""
     step = 360.0 / order
@@ -185,6 +218,9 @@ def _least_turn(motion: RigidTransform2D, middle: Points, order: int) -> RigidTr
 
 def _sigma_at(covariance: npt.NDArray[np.float64], arm: Points) -> tuple[float, float, float]:
     """Return standard deviations of x, y (mm) and rotation (degrees) at a point ``arm`` beside the slot's middle."""
-    jacobian = np.array([[1.0, 0.0, -arm[1]], [0.0, 1.0, arm[0]], [0.0, 0.0, 1.0]])
-    x, y, angle = np.sqrt(np.diag(jacobian @ covariance @ jacobian.T))
-    return float(x), float(y), float(np.rad2deg(angle))
+    right, up = float(arm[0]), float(arm[1])
+    (xx, xy, xt), (_, yy, yt), (_, _, tt) = covariance.tolist()
+    del xy
+    x = math.sqrt(max(xx - 2.0 * up * xt + up * up * tt, 0.0))
+    y = math.sqrt(max(yy + 2.0 * right * yt + right * right * tt, 0.0))
+    return x, y, math.degrees(math.sqrt(max(tt, 0.0)))

@@ -1,64 +1,120 @@
-"""How are outlines sampled and compared in general?  Polygon moments, offsetting and resampling by arc length."""
+"""How are outlines measured, widened and sampled?  Many closed polygons at once, as rings in one array."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from slabcell.geometry import Points
 
-__all__ = ["area_and_centroid", "distance_to_outline", "offset_outward", "polar_inertia", "resample"]
+__all__ = ["Rings", "distance_to_outline"]
+
+Floats = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
 
 
-def area_and_centroid(polygon: Points) -> tuple[float, Points]:
-    """Return the signed area (counter-clockwise is positive) and the centroid of a closed polygon (n, 2)."""
-    origin = polygon[0]
-    x, y = (polygon - origin).T
-    next_x, next_y = np.roll(x, -1), np.roll(y, -1)
-    cross = x * next_y - next_x * y
-    area = 0.5 * float(cross.sum())
-    if abs(area) < 1e-12:
-        return 0.0, polygon.mean(axis=0)
-    centre = np.array([np.sum((x + next_x) * cross), np.sum((y + next_y) * cross)]) / (6.0 * area)
-    return area, centre + origin
+@dataclass(frozen=True, eq=False)
+class Rings:
+    """Closed polygons, none empty: ``points`` (n, 2), and ``starts`` (rings + 1,) where each begins."""
 
+    points: Points
+    starts: Index
 
-def polar_inertia(polygon: Points) -> float:
-    """Return the polar second moment of area about the centroid over the squared area: 1/(2π) for a disc, more else."""
-    area, centre = area_and_centroid(polygon)
-    if area == 0.0:
-        return 0.0
-    x, y = (polygon - centre).T
-    next_x, next_y = np.roll(x, -1), np.roll(y, -1)
-    cross = x * next_y - next_x * y
-    second = np.sum(cross * (x * x + x * next_x + next_x * next_x + y * y + y * next_y + next_y * next_y)) / 12.0
-    return abs(float(second)) / area**2
+    @classmethod
+    def of(cls, polygons: Sequence[Points]) -> "Rings":
+        """Return these polygons together."""
+        starts = np.zeros(len(polygons) + 1, np.intp)
+        np.cumsum([len(polygon) for polygon in polygons], out=starts[1:])
+        return cls(np.concatenate([*polygons, np.zeros((0, 2))]), starts)
 
+    def __len__(self) -> int:
+        return len(self.starts) - 1
 
-def offset_outward(polygon: Points, distance: float) -> Points:
-    """Return a counter-clockwise polygon whose edges have moved outward by ``distance``; mitres are cut at twice it."""
-    edges = np.roll(polygon, -1, axis=0) - polygon
-    lengths = np.hypot(edges[:, 0], edges[:, 1])
-    keep = lengths > 1e-9
-    polygon, edges, lengths = polygon[keep], edges[keep], lengths[keep]
-    if len(polygon) < 3:
-        return polygon
-    normals = np.column_stack([edges[:, 1], -edges[:, 0]]) / lengths[:, None]
-    before = np.roll(normals, 1, axis=0)
-    bisector = normals + before
-    # |bisector|²/2 = 1 + cos of the turn; the mitre's length is 1/that along the bisector.
-    scale = np.maximum(1.0 + np.sum(normals * before, axis=1), 0.5)
-    return polygon + distance * bisector / scale[:, None]
+    def moved(self, points: Points) -> "Rings":
+        """Return rings with other points, as many in each."""
+        return Rings(points, self.starts)
 
+    @cached_property
+    def owner(self) -> Index:
+        """Index of the ring of each point."""
+        return np.repeat(np.arange(len(self)), np.diff(self.starts))
 
-def resample(polygon: Points, count: int) -> Points:
-    """Return ``count`` points at equal distances along a closed polygon, beginning at its first vertex."""
-    closed = np.vstack([polygon, polygon[:1]])
-    lengths = np.hypot(*np.diff(closed, axis=0).T)
-    along = np.concatenate([[0.0], np.cumsum(lengths)])
-    at = np.linspace(0.0, float(along[-1]), count, endpoint=False)
-    result = np.empty((count, 2))
-    for axis in (0, 1):
-        result[:, axis] = np.interp(at, along, closed[:, axis])
-    return result
+    @cached_property
+    def _next(self) -> Index:
+        following = np.arange(1, len(self.points) + 1)
+        following[self.starts[1:] - 1] = self.starts[:-1]
+        return following
+
+    @cached_property
+    def _edges(self) -> tuple[Points, Floats]:
+        """The vector to the next point, and its length."""
+        edges = self.points[self._next] - self.points
+        return edges, np.sqrt(edges[:, 0] ** 2 + edges[:, 1] ** 2)
+
+    @cached_property
+    def moments(self) -> tuple[Floats, Points, Floats]:
+        """Signed area (counter-clockwise is positive), centroid, and normalised polar inertia of each ring.
+
+        The inertia is the polar second moment about the centroid over the squared area: 1/(2π) for a disc, more else.
+        """
+        origin = self.points[self.starts[:-1]]
+        here = self.points - origin[self.owner]
+        there = here[self._next]
+        cross = here[:, 0] * there[:, 1] - there[:, 0] * here[:, 1]
+        square = here * here + here * there + there * there
+        columns = np.column_stack([cross, (here + there) * cross[:, None], (square[:, 0] + square[:, 1]) * cross])
+        sums = self._sums(columns)
+        area = 0.5 * sums[:, 0]
+        safe = np.where(np.abs(area) < 1e-12, 1.0, area)
+        centre = sums[:, 1:3] / (6.0 * safe[:, None])
+        polar = sums[:, 3] / 12.0 - area * (centre[:, 0] ** 2 + centre[:, 1] ** 2)
+        inertia = np.where(np.abs(area) < 1e-12, np.inf, np.abs(polar) / safe**2)
+        return area, centre + origin, inertia
+
+    def _sums(self, columns: Floats) -> Floats:
+        if len(self) == 0:
+            return np.zeros((0, columns.shape[1]))
+        return np.add.reduceat(columns, self.starts[:-1], axis=0)
+
+    def counter_clockwise(self) -> "Rings":
+        """Return the same rings, each counter-clockwise."""
+        backward = (self.moments[0] < 0)[self.owner]
+        if not np.any(backward):
+            return self
+        index = np.arange(len(self.points))
+        mirrored = self.starts[:-1][self.owner] + self.starts[1:][self.owner] - 1 - index
+        return self.moved(self.points[np.where(backward, mirrored, index)])
+
+    def offset_outward(self, distance: float) -> "Rings":
+        """Return counter-clockwise rings whose edges have moved outward; mitres are cut at twice the distance."""
+        edges, length = self._edges
+        normals = np.column_stack([edges[:, 1], -edges[:, 0]]) / np.maximum(length, 1e-12)[:, None]
+        before = np.empty_like(normals)
+        before[self._next] = normals
+        bisector = normals + before
+        # |bisector|²/2 = 1 + cos of the turn; the mitre's length is 1/that along the bisector.
+        scale = np.maximum(1.0 + normals[:, 0] * before[:, 0] + normals[:, 1] * before[:, 1], 0.5)
+        return self.moved(self.points + distance * bisector / scale[:, None])
+
+    def resampled(self, count: int) -> Floats:
+        """Return ``count`` points of each ring at equal distances, from its first point on: (rings, count, 2)."""
+        if len(self) == 0:
+            return np.zeros((0, count, 2))
+        _, length = self._edges
+        # All rings one behind the other on one axis; each one's first point stands at its beginning and at its end.
+        along = np.concatenate([[0.0], np.cumsum(length)])
+        begin, end = along[self.starts[:-1]], along[self.starts[1:]]
+        at = begin[:, None] + (end - begin)[:, None] * (np.arange(count) / count)
+        edge = np.searchsorted(along, at.reshape(-1), side="right") - 1
+        owner = np.repeat(np.arange(len(self)), count)
+        edge = np.clip(edge, self.starts[:-1][owner], self.starts[1:][owner] - 1)
+        share = (at.reshape(-1) - along[edge]) / np.maximum(length[edge], 1e-12)
+        points = self.points[edge] + np.clip(share, 0.0, 1.0)[:, None] * (
+            self.points[self._next[edge]] - self.points[edge]
+        )
+        return points.reshape(len(self), count, 2)
 
 
 def distance_to_outline(points: Points, polygon: Points) -> npt.NDArray[np.float64]:
