@@ -1,6 +1,7 @@
 """How do KRL programs show messages, ask questions, format texts and pulse outputs?"""
 
 import re
+import struct
 from collections.abc import Sequence
 
 from slabcell_drivers.krc.builtin_table import Builtin
@@ -8,7 +9,17 @@ from slabcell_drivers.krc.builtins_basic import place_text, text
 from slabcell_drivers.krc.cells import Place, Trait
 from slabcell_drivers.krc.host import Host
 from slabcell_drivers.krc.messages import KrlError, RunMessage
-from slabcell_drivers.krc.values import ArrayValue, CharArray, EnumConstant, StructValue, Value, text_of
+from slabcell_drivers.krc.values import (
+    BOOL,
+    CHAR,
+    REAL,
+    ArrayValue,
+    CharArray,
+    EnumConstant,
+    StructValue,
+    Value,
+    text_of,
+)
 
 __all__ = ["MESSAGE_BUILTINS", "format_text"]
 
@@ -239,6 +250,57 @@ def _read_text(_: Host, source: Place, state: Place | None, offset: Place | None
         offset.set(position)
 
 
+# --- packing ---------------------------------------------------------------------------------------------------------
+
+
+def _packed(value: Value) -> bytes:
+    if isinstance(value, bool):
+        return bytes([value])
+    if isinstance(value, int):
+        return struct.pack("<i", value)
+    if isinstance(value, float):
+        return struct.pack("<f", value)
+    if isinstance(value, CharArray):
+        return (value.text or "").encode("latin-1", "replace").ljust(value.size, b"\0")
+    if isinstance(value, str):
+        return value.encode("latin-1", "replace")
+    raise KrlError(RunMessage.TYPE, f"CAST_TO: {text_of(value)} cannot be packed")
+
+
+def _cast_to(_: Host, buffer: Place, offset: Place, *values: Place) -> None:
+    start = int(offset.value or 0)
+    content = buffer.value
+    before = (content.text or "") if isinstance(content, CharArray) else ""
+    packed = b"".join(_packed(v.value) for v in values).decode("latin-1")
+    buffer.set(before[:start].ljust(start, "\0") + packed + before[start + len(packed) :])
+    offset.set(start + len(packed))
+
+
+def _cast_from(_: Host, buffer: Place, offset: Place, *targets: Place) -> None:
+    position = int(offset.value or 0)
+    content = buffer.value
+    raw = ((content.text or "") if isinstance(content, CharArray) else "").encode("latin-1", "replace")
+    for target in targets:
+        type_ = getattr(target, "type", None)
+        present = target.value
+        size = present.size if isinstance(present, CharArray) else 1 if type_ in {BOOL, CHAR} else 4
+        piece = raw[position : position + size]
+        if len(piece) < size:
+            raise KrlError(
+                RunMessage.RANGE, f"CAST_FROM: the buffer holds {len(raw)} characters, not {position + size}"
+            )
+        if isinstance(present, CharArray):
+            target.set(piece.decode("latin-1").rstrip("\0"))
+        elif type_ is BOOL:
+            target.set(piece != b"\0")
+        elif type_ is CHAR:
+            target.set(piece.decode("latin-1"))
+        else:
+            target.set(struct.unpack("<f" if type_ is REAL else "<i", piece)[0])
+        position += size
+    offset.set(position)
+
+
 # --- outputs -------------------------------------------------------------------------------------------------------
 
 
@@ -284,6 +346,8 @@ MESSAGE_BUILTINS: dict[str, Builtin] = {
     "MSGDIALOG": Builtin(_ask, 2, 14, frozenset({0}), waits=_is_answered),
     "SWRITE": Builtin(_write_text, 4, 34, frozenset({0, 1, 2}), rest_out=True),
     "SREAD": Builtin(_read_text, 4, 34, frozenset({0, 1, 2}), rest_out=True),
+    "CAST_TO": Builtin(_cast_to, 3, 34, frozenset({0, 1}), rest_out=True),
+    "CAST_FROM": Builtin(_cast_from, 3, 34, frozenset({0, 1}), rest_out=True),
     "CWRITE": Builtin(_channel_write, 2, 34, frozenset({1})),
     "CREAD": Builtin(_not_here("CREAD"), 1, 34),
     "COPEN": Builtin(_not_here("COPEN"), 1, 4),

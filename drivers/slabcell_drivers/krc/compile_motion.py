@@ -19,6 +19,8 @@ def _root_name(node: Expr) -> str:
 
 def compile_motion(compiler: StatementEmitter, node: Motion) -> None:
     """Emit one motion: an operation that plans it as soon as the advance run has room for it."""
+    if not compiler.interpreter.may_move:
+        raise KrlError(RunMessage.NOT_SUPPORTED, f"{node.kind}: a submit program may not move the robot")
     if not node.points:
         raise KrlError(RunMessage.NOT_TAUGHT, f"{node.kind} !: this point was never taught")
     points = [compiler.expr(point)[0] for point in node.points]

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from slabcell_drivers.krc.cells import Trait
-from slabcell_drivers.krc.code import Activation, Code, Pause
+from slabcell_drivers.krc.code import Activation, Code, Function, Pause
 from slabcell_drivers.krc.compile_blocks import BlockCompiler
 from slabcell_drivers.krc.compile_expressions import describe
 from slabcell_drivers.krc.compile_motion import compile_motion, compile_spline, compile_trigger
@@ -20,6 +20,7 @@ from slabcell_drivers.krc.syntax import (
     Confirm,
     Declaration,
     EnumDecl,
+    Expr,
     External,
     For,
     Goto,
@@ -63,6 +64,15 @@ class RoutineCompiler(BlockCompiler):
         self._gotos: list[tuple[int, str, int]] = []
         self._actions: list[tuple[list[int], Statement, int]] = []
         self._proceeds: list[list[int]] = []
+
+    def _cyclic(self, node: Expr) -> Function:
+        """Return a condition that is evaluated again and again: it may call no function written in KRL."""
+        before = self.position
+        function = self.expr(node)[0]
+        if self.position != before:
+            text = "a condition that is evaluated cyclically cannot call a function written in KRL"
+            raise KrlError(RunMessage.NOT_SUPPORTED, text)
+        return function
 
     def compile(self) -> Code:
         """Return the operations of the routine.  What cannot be compiled becomes an operation that says so."""
@@ -202,13 +212,14 @@ class RoutineCompiler(BlockCompiler):
 
     def _assign(self, statement: Assign) -> None:
         target = statement.target
-        function, _ = self.expr(statement.value)
         if isinstance(target, Index) and isinstance(target.base, Name) and target.base.name == "$CYCFLAG":
+            function = self._cyclic(statement.value)
             number = self.expr(target.indices[0])[0] if target.indices[0] is not None else None
             if number is None:
                 raise KrlError(RunMessage.INDEX, "$CYCFLAG needs an index")
             self.emit(lambda a: self.interpreter.set_cycflag(number(a), function, a))
             return
+        function, _ = self.expr(statement.value)
         if isinstance(target, Name) and target.name in self.locals:
             index = self.locals[target.name]
 
@@ -297,7 +308,7 @@ class RoutineCompiler(BlockCompiler):
     def _interrupt_decl(self, statement: InterruptDecl) -> None:
         number = self.expr(statement.number)[0]
         self.traits.clear()
-        condition = self.expr(statement.condition)[0]
+        condition = self._cyclic(statement.condition)
         uses_time = Trait.TIME in self.traits
         label = self.action(statement.action)
         interrupts = self.interpreter.interrupts

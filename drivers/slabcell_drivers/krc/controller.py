@@ -81,6 +81,7 @@ class SoftwareKrc:
     """One controller with its project.  Use it as a context manager, or call `close`.
 
     ``speed`` 1.0 runs in real time, None as fast as possible; ``statement_s`` is the time that one statement takes.
+    ``submit`` names a program, SPS for example, that the submit interpreter runs beside those that are selected.
     ``trace`` is called from the thread that runs programs.
     """
 
@@ -102,10 +103,12 @@ class SoftwareKrc:
         on_trajectory: Callable[[Trajectory], None] | None = None,
         home_axes_deg: Axes = HOME,
         statement_s: float = STATEMENT_S,
+        submit: str = "",
     ) -> None:
         self._io = io
         self._trace = trace
         self._on_trajectory = on_trajectory
+        self._submit = submit
         self._kinds = trace_kinds if trace is not None else frozenset[str]()
         hooks = Hooks(
             output_changed=self._output_changed,
@@ -164,6 +167,11 @@ class SoftwareKrc:
         kernel.system.reset_motion_settings()
         kernel.motion.planner.needs_axis_motion = True
         kernel.motion.discard()
+        if self._submit and kernel.submit.is_done:
+            background = self._find_program(self._submit)
+            if isinstance(background, RunResult):
+                return background
+            kernel.submit.select(*background)
         kernel.interpreter.statements = 0
         kernel.interpreter.select(routine, module)
         kernel.system.write("$PRO_NAME", module.name[:24])
@@ -268,6 +276,11 @@ class SoftwareKrc:
         if not self._outputs_hold:
             kernel.io.outputs.drop()
         kernel.eki.close_all()
+
+    def cancel_submit(self) -> None:
+        """Cancel the submit program; its channels of EKI end with it."""
+        self._kernel.submit.deselect()
+        self._kernel.eki.end(EkiEvent.SUBMIT_CANCEL)
 
     def close(self) -> None:
         """Close every connection; may be called twice."""

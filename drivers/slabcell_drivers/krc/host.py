@@ -74,7 +74,7 @@ class Host(Protocol):
         """CONFIRM: acknowledge one message, or all."""
         ...
 
-    def set_error(self, error: KrlError, file: str, line: int) -> None:
+    def set_error(self, error: KrlError, file: str, line: int, routine: str) -> None:
         """Set $ERR, for ON_ERROR_PROCEED."""
         ...
 

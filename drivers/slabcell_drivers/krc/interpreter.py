@@ -31,7 +31,10 @@ StatementHook = Callable[[str, int], None]
 class Interpreter:
     """Runs one program.  The host owns time, I/O and motion and calls `run_slice` once every tick."""
 
-    def __init__(self, host: Host, project: ProjectNames, motion: MotionRunner, clock: Clock) -> None:
+    def __init__(
+        self, host: Host, project: ProjectNames, motion: MotionRunner, clock: Clock, *, may_move: bool = True
+    ) -> None:
+        self.may_move = may_move  # the submit interpreter may not, and waits for no motion
         self.host = host
         self.project = project
         self.motion = motion
@@ -160,7 +163,7 @@ class Interpreter:
         position = pc if activation is top else activation.pc - 1
         if not start <= position < end:
             return False
-        self.host.set_error(error, *self.place)
+        self.host.set_error(error, *self.place, top.code.name)
         del self.stack[depth + 1 :]
         activation.pc = end
         self._proceed = None
@@ -168,7 +171,7 @@ class Interpreter:
 
     def end_waits(self, a: Activation) -> bool:
         """Tell whether the program has to wait at its end, because the arm still moves."""
-        if len(self.stack) == 1 and self.motion.is_busy:
+        if self.may_move and len(self.stack) == 1 and self.motion.is_busy:
             a.pc -= 1
             return True
         return False
@@ -178,7 +181,7 @@ class Interpreter:
 
         An interrupt routine waits for its own motions only, not for those that it interrupted.
         """
-        if self.motion.is_busy and (self.motion.is_held or not self.served_priority):
+        if self.may_move and self.motion.is_busy and (self.motion.is_held or not self.served_priority):
             a.pc -= 1
             return Pause.MOTION
         return None

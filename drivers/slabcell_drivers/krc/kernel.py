@@ -94,6 +94,8 @@ class Kernel:
             fire=self._fire,
         )
         self.interpreter = Interpreter(self, self.project, self.motion, self.clock)
+        self.submit = Interpreter(self, self.project, self.motion, self.clock, may_move=False)
+        self._running = self.interpreter
         self.eki: EthernetKrl = EthernetKrl({}, set_flag=self._set_flag, set_out=self._set_out, rng=self.rng)
         self.error_text = ""
         self.ending: Ending | None = None
@@ -141,6 +143,20 @@ class Kernel:
             heapq.heappop(self._events)[2]()
         self.motion.step(step_s)
         self.interpreter.check_interrupts()
+        self._run_submit()
+
+    def _run_submit(self) -> None:
+        if self.submit.is_done:
+            return
+        self._running = self.submit
+        try:
+            self.submit.run_slice(self.quota)
+        except KrlError as error:
+            file, line = self.submit.place
+            self.messages.show("QUIT", "SUBMIT", error.number, f"{error.text} ({file} {line})")
+            self.submit.deselect()
+        finally:
+            self._running = self.interpreter
 
     def _poll(self, timeout_s: float) -> None:
         if self.eki.poll(timeout_s) and not self.eki.is_connected:
@@ -220,12 +236,10 @@ class Kernel:
         else:
             self.messages.acknowledge_all()
 
-    def set_error(self, error: KrlError, file: str, line: int) -> None:
+    def set_error(self, error: KrlError, file: str, line: int, routine: str) -> None:
         """Set $ERR, for ON_ERROR_PROCEED."""
         self.error_text = error.text
-        stack = self.interpreter.stack
-        name = stack[-1].code.name if stack else ""
-        self.system.set_error(error.number, file.rsplit("/", maxsplit=1)[-1].partition(".")[0], line, name)
+        self.system.set_error(error.number, file.rsplit("/", maxsplit=1)[-1].partition(".")[0], line, routine)
 
     def clear_error(self) -> None:
         """Reset $ERR."""
@@ -240,7 +254,7 @@ class Kernel:
     def variable_state(self, name: str) -> str:
         """Return DECLARED, INITIALIZED or UNKNOWN, for VARSTATE."""
         module = None
-        stack = self.interpreter.stack
+        stack = self._running.stack
         if stack:
             stem = stack[-1].code.file.rsplit("/", maxsplit=1)[-1].rpartition(".")[0].upper()
             module = self.project.modules.get(stem)

@@ -23,6 +23,7 @@ class Machine(Protocol):
     motion: MotionRunner
     clock: Clock
     interrupts: Interrupts
+    may_move: bool
 
     def resolve(self, name: str, module: ModuleNames) -> tuple[Routine, ModuleNames] | None:
         """Return the KRL routine that a name means in a module, None where it means one of the controller's own."""

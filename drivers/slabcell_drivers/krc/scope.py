@@ -195,12 +195,14 @@ class Project:
                 self._structs[f"{scope.name}/{name}"] = (statement, scope)
                 if statement.is_global or is_system:
                     self._structs[f"/{name}"] = (statement, scope)
+                    self.types.pop(name, None)  # a project's own declaration takes the place of ours
                 else:
                     self._structs.setdefault(f"?/{name}", (statement, scope))
             case EnumDecl(name=name, values=values):
                 scope.types[name] = EnumType(name, frozenset(values))
                 if statement.is_global or is_system:
                     self.types[name] = scope.types[name]
+                    self._structs.pop(f"/{name}", None)
                 else:
                     self.types.setdefault(name, scope.types[name])
             case Signal(name=name):

@@ -547,3 +547,36 @@ def test_a_program_with_a_syntax_error_is_not_started():
     result = krc.run("t", max_wall_s=1)
     assert (result.status, result.line) == ("error", 2)
     assert "expected an expression" in result.message
+
+
+# --- submit interpreter --------------------------------------------------------------------------------------------------
+
+
+def test_the_submit_program_runs_beside_the_selected_one_and_sees_its_data():
+    submit = b"DEF sps()\nDECL INT i\nLOOP\nWAIT SEC 0.012\nticks=ticks+1\n$FLAG[9]=$OUT[1]\nENDLOOP\nEND\n"
+    krc = SoftwareKrc(
+        {
+            "sps.sub": submit,
+            "t.src": f"DEF t()\n{START}$OUT[1]=TRUE\nWAIT FOR $FLAG[9]\nWAIT SEC 1\nEND\n".encode(),
+            "$config.dat": b"DEFDAT $CONFIG\nINT ticks=0\nENDDAT\n",
+        },
+        robot=KR3_R540,
+        submit="sps",
+    )
+    assert krc.run("t", max_wall_s=20).status == "done"
+    ticks = krc.data("", "ticks")
+    assert ticks > 50
+    assert krc.run("t", max_wall_s=20).status == "done"
+    assert krc.data("", "ticks") > ticks
+    krc.cancel_submit()
+
+
+def test_an_error_in_the_submit_program_ends_it_and_not_the_robot():
+    krc = SoftwareKrc(
+        {"sps.sub": b"DEF sps()\nPTP {A1 0}\nEND\n", "t.src": b"DEF t()\nWAIT SEC 0.1\nEND\n"},
+        robot=KR3_R540,
+        submit="sps",
+    )
+    assert krc.run("t", max_wall_s=20).status == "done"
+    assert krc.messages[0].originator == "SUBMIT"
+    assert "may not move" in krc.messages[0].text

@@ -409,3 +409,38 @@ def test_a_quit_message_holds_the_program_until_it_is_acknowledged():
     assert result.status == "done"
     assert result.virtual_time_s >= 1.0
     assert krc.messages[0].kind == "QUIT"
+
+
+def test_values_are_packed_into_a_buffer_and_come_out_again():
+    body = """o=0
+CAST_TO(buffer[],o,n,r,b,c,t[])
+size=o
+o=0
+CAST_FROM(buffer[],o,n2,r2,b2,c2,t2[])"""
+    data = """CHAR buffer[60]
+INT n=-70000,n2=0,o,size
+REAL r=1.5,r2=0.0
+BOOL b=TRUE,b2=FALSE
+CHAR c="x",c2=" "
+CHAR t[4]="ab"
+CHAR t2[4]=" "
+"""
+    result, krc = run(body, data=data)
+    assert result.status == "done", result
+    assert krc.data("t", "size") == 4 + 4 + 1 + 1 + 4
+    assert [krc.data("t", name) for name in ("n2", "r2", "b2", "c2", "t2")] == [-70000, 1.5, True, "x", "ab"]
+
+
+def test_a_condition_that_is_evaluated_cyclically_calls_no_krl_function():
+    more = "DEFFCT BOOL f()\nRETURN TRUE\nENDFCT\nDEF isr()\nEND"
+    assert run("INTERRUPT DECL 5 WHEN f() DO isr()", more=more)[0].message_number == 91014
+    assert run("$CYCFLAG[1]=f()", more=more)[0].message_number == 91014
+
+
+def test_types_that_a_project_declares_take_the_place_of_the_built_in_ones():
+    files = {
+        "R1/operate.dat": b"DEFDAT $OPERATE PUBLIC\nSTRUC CIRC_MODE INT AUX,TARGET\nENUM LOAD HEAVY,LIGHT\nENDDAT\n"
+    }
+    _, krc = run("m.AUX=3\nl=#LIGHT", data="CIRC_MODE m\nLOAD l", files=files)
+    assert krc.data("t", "m") == {"AUX": 3}
+    assert krc.data("t", "l") == "#LIGHT"
