@@ -549,7 +549,7 @@ def test_a_program_with_a_syntax_error_is_not_started():
     assert "expected an expression" in result.message
 
 
-# --- submit interpreter --------------------------------------------------------------------------------------------------
+# --- submit interpreter -----------------------------------------------------------------------------------------------
 
 
 def test_the_submit_program_runs_beside_the_selected_one_and_sees_its_data():
