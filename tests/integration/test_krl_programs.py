@@ -424,8 +424,30 @@ async def test_the_link_test_moves_nothing_and_says_that_the_cell_answers():
             before = krc.axes_deg
             assert (await run(krc, "SC_Diag")).status == "done"
             assert krc.axes_deg == before
-            assert "Link test: the cell answers" in texts(krc)
+            assert texts(krc) == ["Link test: the cell answers"]
     assert [request.type for request in cell.requests] == [RequestType.HELLO, RequestType.BYE]
+
+
+async def test_the_link_test_names_what_is_not_measured_and_why_the_cell_refuses():
+    table, cell = Table([]), ScriptedCell([])
+
+    async def not_ready(request):
+        return cell.reply(request, 1802, message="1802 Cell is not ready. See the cell's page.")
+
+    cell.hook = not_ready
+    async with serving(cell) as link:
+        with controller(table, link.address) as krc:
+            krc.set_data("", "TOOL_DATA[1]", Frame())
+            krc.set_data("", "BASE_DATA[2]", Frame())
+            krc.set_input(1, True)
+            assert (await run(krc, "SC_Diag")).status == "done"
+            assert [text.split(":")[0] for text in texts(krc)] == [
+                "Tool is not measured",
+                "Base of the assembly is not measured",
+                "Vacuum input is on",
+                "Link test failed. The reason follows",
+                "1802 Cell is not ready. See the cell's page.",
+            ]
 
 
 async def test_a_cell_of_another_version_is_named():
