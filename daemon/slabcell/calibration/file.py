@@ -25,6 +25,8 @@ MAX_SIDE = 65_536
 MAX_FOCAL_PX = 1e7
 MAX_COEFFICIENT = 1e6
 MAX_DISTANCE_MM = 1e6
+MAX_RESIDUAL_PX = 1000.0
+MAX_VARIANCE = 1e15
 ROTATION_TOLERANCE = 1e-6
 REMEDY = "make it again with `slabcell calibrate`, or restore the file from a backup"
 
@@ -36,7 +38,10 @@ def save_calibration(path: Path, calibration: Calibration) -> None:
     """Write the calibration; the file appears complete or not at all.  Raises CalibrationError."""
     document = to_document(calibration)
     from_document(document, str(path))  # nothing is written that could not be read again
-    text = json.dumps(document, indent=1, allow_nan=False) + "\n"
+    try:
+        text = json.dumps(document, indent=1, allow_nan=False) + "\n"
+    except (TypeError, ValueError) as error:
+        raise CalibrationError(f"{path}: the diagnostics hold what JSON cannot: {error}") from error
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
@@ -64,10 +69,14 @@ def load_calibration(path: Path) -> Calibration:
     if len(raw) > MAX_BYTES:
         raise CalibrationError(f"{path}: is larger than {MAX_BYTES} bytes, which no calibration is; {REMEDY}")
     try:
-        document = json.loads(raw.decode("utf-8"))
+        document = json.loads(raw.decode("utf-8"), parse_constant=_refuse_constant)
     except (UnicodeDecodeError, ValueError, RecursionError) as error:
         raise CalibrationError(f"{path}: is not JSON ({error}); {REMEDY}") from error
     return from_document(document, str(path))
+
+
+def _refuse_constant(text: str) -> None:
+    raise ValueError(f"{text} is not a number")
 
 
 def to_document(calibration: Calibration) -> dict[str, object]:
@@ -132,6 +141,12 @@ class _Table:
             raise self.wrong(key, value, f"a whole number from {low} to {high}")
         return value
 
+    def number(self, key: str, low: float, high: float) -> float:
+        value = self.get(key)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+            raise self.wrong(key, value, f"a number from {low:g} to {high:g}")
+        return float(value)
+
     def text(self, key: str, limit: int) -> str:
         value = self.get(key)
         if not isinstance(value, str) or len(value) > limit:
@@ -176,11 +191,27 @@ def from_document(document: object, source: str) -> Calibration:
         raise CalibrationError(
             f"{source}: unknown key {unknown[0][:80]!r}; known are {', '.join(sorted(_KEYS))}; {REMEDY}"
         )
-    diagnostics = dict(top.table("diagnostics").values) if "diagnostics" in top.values else dict[str, object]()
     plane = _plane(top.table("plane")) if top.values.get("plane") is not None else None
     hand_eye = _hand_eye(top.table("hand_eye")) if top.values.get("hand_eye") is not None else None
     identity = _identity(top.table("camera"))
-    return Calibration(identity, _lens(top.table("lens"), identity), plane, diagnostics, hand_eye)
+    lens = _lens(top.table("lens"), identity)
+    if "created" in top.values:
+        top.text("created", 100)
+    diagnostics = _diagnostics(top.table("diagnostics"), lens) if "diagnostics" in top.values else {}
+    return Calibration(identity, lens, plane, diagnostics, hand_eye)
+
+
+def _diagnostics(table: _Table, lens: Lens) -> dict[str, object]:
+    """Return the diagnostics; of them only those are checked that later steps compute with."""
+    for key in ("noise_px", "rms_px"):
+        if key in table.values:
+            table.number(key, 0.0, MAX_RESIDUAL_PX)
+    if "covariance" in table.values:
+        size = 4 + lens.distortion.size
+        covariance = table.array("covariance", ((size, size),), MAX_VARIANCE)
+        if (np.diag(covariance) < 0.0).any() or not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-12):
+            raise table.wrong("covariance", table.get("covariance"), "symmetric with a diagonal that is not negative")
+    return dict(table.values)
 
 
 def _identity(table: _Table) -> CameraIdentity:

@@ -2,6 +2,7 @@
 
 import copy
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -101,6 +102,12 @@ def damaged(*path_and_value):
         (("plane", "translation_mm", [0, 0]), r"plane\.translation_mm"),
         (("plane", "adjustment", [[0, 0, 0], [0, 0, 0]]), r"plane\.adjustment"),
         (("diagnostics", 3), "diagnostics = 3"),
+        (("diagnostics", "noise_px", "a"), r"diagnostics\.noise_px = 'a' is not a number"),
+        (("diagnostics", "rms_px", float("nan")), r"diagnostics\.rms_px = nan"),
+        (("diagnostics", "covariance", [[1.0]]), r"diagnostics\.covariance"),
+        (("diagnostics", "covariance", (-np.eye(9)).tolist()), r"diagnostics\.covariance"),
+        (("diagnostics", "covariance", (np.eye(9) + np.eye(9, k=1)).tolist()), r"diagnostics\.covariance"),
+        (("created", 5), "created = 5"),
     ],
 )
 def test_a_damaged_file_is_refused_with_file_key_and_remedy(change, about):
@@ -110,7 +117,9 @@ def test_a_damaged_file_is_refused_with_file_key_and_remedy(change, about):
     assert "calibrate" in str(caught.value)
 
 
-@pytest.mark.parametrize("raw", [b"", b"{", b"\xff\xfe", b"[1]", b"null", b"[" * 100_000, b'{"schema": NaN}'])
+@pytest.mark.parametrize(
+    "raw", [b"", b"{", b"\xff\xfe", b"[1]", b"null", b"[" * 100_000, b'{"schema": NaN}', b'{"schema": Infinity}']
+)
 def test_what_is_no_calibration_is_refused(tmp_path, raw):
     path = tmp_path / "c.json"
     path.write_bytes(raw)
@@ -131,6 +140,13 @@ def test_a_file_without_a_plane_or_an_adjustment_is_read():
     assert calibration_from_document(document, "c").plane is None
     plane = calibration_from_document(damaged("plane", "adjustment", KeyError), "c").require_plane()
     assert np.array_equal(plane.adjustment, np.eye(2, 3))
+
+
+def test_diagnostics_that_json_cannot_hold_are_refused_and_nothing_is_written(tmp_path):
+    for value in (float("inf"), {1, 2}, np.zeros(2)):
+        with pytest.raises(CalibrationError, match="what JSON cannot"):
+            save_calibration(tmp_path / "c.json", replace(example(), diagnostics={"extra": value}))
+    assert list(tmp_path.iterdir()) == []
 
 
 json_values = st.recursive(

@@ -31,7 +31,7 @@ GOOD = json.dumps(
             CameraIdentity(960, 600, "C-1"),
             Lens(np.array([[1666.0, 0, 481], [0, 1665.0, 303], [0, 0, 1]]), np.array([-0.1, 0.2, 0.001, -0.002, 0.0])),
             TablePlane(TURN, np.array([10.0, -20.0, 1040.0])),
-            {"rms_px": 0.03, "covariance": [[1.0]]},
+            {"rms_px": 0.03, "noise_px": 0.02, "covariance": np.eye(9).tolist()},
             HandEye("eye-to-hand", TURN, np.array([290.0, -45.0, 1040.0])),
         )
     )

@@ -226,8 +226,8 @@ def test_a_board_whose_frame_would_jump_is_refused(lab, lens):
 
 
 def test_too_few_stations_are_refused(lab, lens):
-    with pytest.raises(CalibrationError, match="at least 3"):
-        calibrate_hand_eye(lens, *shoot(lab, count=2), lab.BOARD, "eye-to-hand")
+    with pytest.raises(CalibrationError, match="at least 4"):
+        calibrate_hand_eye(lens, *shoot(lab, count=3), lab.BOARD, "eye-to-hand")
 
 
 def test_a_picture_without_a_pose_is_refused_by_name(lab, lens):

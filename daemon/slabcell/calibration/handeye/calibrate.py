@@ -29,7 +29,7 @@ from slabcell.errors import CalibrationError
 
 __all__ = ["HandEyeResult", "calibrate_hand_eye", "kuka_frame"]
 
-MIN_STATIONS = 3
+MIN_STATIONS = 4  # one can be left out of them, and three are left
 MAX_LEFT_OUT = 0.25
 SCALE_LIMIT = 0.002
 SUSPICIOUS_MM = 2.0
@@ -106,7 +106,7 @@ def calibrate_hand_eye(
     placement = place_camera(stations, mount, method, robot_mm=robot_mm, robot_deg=robot_deg)
     held = holdout(stations, mount, method, placement)
     left_out: list[str] = []
-    while len(stations) > MIN_STATIONS + 2 and (bad := outlying(held)):
+    while len(stations) > MIN_STATIONS + 1 and (bad := outlying(held)):
         worst = max(bad, key=lambda n: held[n].mm)
         if len(left_out) + 1 > MAX_LEFT_OUT * len(everything):
             break

@@ -108,7 +108,7 @@ def make_stations(calibration: Calibration, detections: Sequence[Detection], pos
         information.append(by_twist.T @ by_twist / noise_px**2)
         rms.append(residual)
     if not boards:
-        raise CalibrationError("no picture shows the board: a hand-eye calibration needs at least 3, better 15")
+        raise CalibrationError("no picture shows the board: a hand-eye calibration needs at least 4, better 15")
     return Stations(
         tuple(v.name for v in detections),
         np.array(robot, dtype=np.float64),
