@@ -22,7 +22,7 @@ TOOL = Frame(z_mm=260.0)
 PICK_BASE = Frame(190, -290, 0, 1.5)
 PLACE_BASE = Frame(200, 80, 0, -1)
 THICKNESS_MM = 10.0
-MAX_WALL_S = 20.0
+MAX_WALL_S = 60.0
 
 
 def lying(x_mm, y_mm, a_deg):

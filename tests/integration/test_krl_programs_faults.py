@@ -62,7 +62,7 @@ MAX_LIVES = 8
 """How often the robot may be started in one run of the test."""
 MAX_HELPS = 10
 """How often a person helps in one run."""
-MAX_WALL_S = 20.0
+MAX_WALL_S = 60.0
 
 
 def tool_down(base, pose):
@@ -350,9 +350,9 @@ class Run:
             "TOOL_DATA[1]": TOOL,
             "BASE_DATA[1]": PICK_BASE,
             "BASE_DATA[2]": PLACE_BASE,
-            "VT_TMOANSWER": 120,
-            "VT_TMOTRIGGER": 400,
-            "VT_OPENTRIES": 5000,
+            "VT_TMOANSWER": 200,
+            "VT_TMOTRIGGER": 600,
+            "VT_OPENTRIES": 20000,
         }.items():
             krc.set_data("", name, value)
         with krc:

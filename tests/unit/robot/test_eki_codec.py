@@ -7,7 +7,7 @@ import random
 import re
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from slabcell_drivers.robot.eki.codec import (
@@ -25,6 +25,7 @@ from slabcell_drivers.robot.frame import Frame
 from slabcell_drivers.robot.protocol import AckState, Answer, Offer, Request, RequestType, RobotStatus
 
 pytestmark = pytest.mark.unit
+relaxed = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])  # the machine may be loaded
 
 ints = st.integers(-(10**8), 10**8)  # whose sum is a KRL INT, too
 thousandths = st.integers(-9_999_999, 9_999_999).map(lambda number: number / 1000)
@@ -67,13 +68,13 @@ answers = st.builds(
 REQUEST = Request(RequestType.HELLO, 1, 2)
 
 
-@settings(deadline=None)
+@relaxed
 @given(requests)
 def test_a_request_reads_as_it_was_written(request_):
     assert decode_request(encode_request(request_)) == request_
 
 
-@settings(deadline=None)
+@relaxed
 @given(answers)
 def test_an_answer_reads_as_it_was_written(answer):
     assert decode_answer(encode_answer(answer)) == answer
@@ -164,14 +165,14 @@ def test_what_is_not_a_telegram_is_refused(raw):
         decode_request(raw)
 
 
-@settings(deadline=None)
+@relaxed
 @given(st.binary(max_size=200) | st.binary(max_size=80).map(lambda noise: b"<Robot>" + noise + b"</Robot>"))
 def test_any_bytes_give_a_request_or_a_telegram_error(raw):
     with contextlib.suppress(TelegramError):
         assert isinstance(decode_request(raw), Request)
 
 
-@settings(deadline=None)
+@relaxed
 @given(requests, st.data())
 def test_a_telegram_with_a_flipped_bit_gives_a_request_or_a_telegram_error(request_, data):
     raw = bytearray(encode_request(request_))
@@ -180,7 +181,7 @@ def test_a_telegram_with_a_flipped_bit_gives_a_request_or_a_telegram_error(reque
         assert isinstance(decode_request(bytes(raw)), Request)
 
 
-@settings(deadline=None)
+@relaxed
 @given(requests | answers, st.data())
 def test_a_digit_that_changes_on_the_way_is_noticed(message, data):
     raw = encode_request(message) if isinstance(message, Request) else encode_answer(message)
@@ -220,7 +221,7 @@ def test_a_whole_number_beyond_krl_is_not_sent():
         encode_answer(Answer(2**31, 2, 3))
 
 
-@settings(deadline=None)
+@relaxed
 @given(st.text(max_size=300))
 def test_a_message_fits_the_smartpad(text):
     shown = printable(text)

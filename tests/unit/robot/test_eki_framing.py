@@ -3,12 +3,13 @@
 import itertools
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from slabcell_drivers.robot.eki.framing import MAX_TELEGRAM_BYTES, Framer, FramingError
 
 pytestmark = pytest.mark.unit
+relaxed = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])  # the machine may be loaded
 
 GOOD = b'<Robot><Head Ver="1" Seq="%d"></Head></Robot>'
 padding = st.text(" \t\r\n\0", max_size=5).map(str.encode)
@@ -20,7 +21,7 @@ def chunks(data, cuts):
     return [data[a:b] for a, b in itertools.pairwise(edges)]
 
 
-@settings(deadline=None)
+@relaxed
 @given(st.lists(padding, min_size=1, max_size=6), st.lists(st.integers(0, 10_000), max_size=12))
 def test_telegrams_come_out_whole_however_they_are_cut_merged_and_padded(paddings, cuts):
     stream = b"".join(GOOD % number + pad for number, pad in enumerate(paddings))
@@ -30,7 +31,7 @@ def test_telegrams_come_out_whole_however_they_are_cut_merged_and_padded(padding
     assert framer.pending == 0
 
 
-@settings(deadline=None)
+@relaxed
 @given(garbage, st.lists(st.integers(0, 10_000), max_size=12))
 def test_a_good_telegram_after_garbage_is_found_and_the_garbage_is_reported_once(noise, cuts):
     framer = Framer("Robot")
@@ -39,7 +40,7 @@ def test_a_good_telegram_after_garbage_is_found_and_the_garbage_is_reported_once
     assert events[1:] == [GOOD % 1, GOOD % 2]
 
 
-@settings(deadline=None)
+@relaxed
 @given(st.integers(1, len(GOOD) - 1), st.lists(st.integers(0, 10_000), max_size=12))
 def test_a_torn_telegram_does_not_swallow_the_next(kept, cuts):
     torn = (GOOD % 1)[:kept]
