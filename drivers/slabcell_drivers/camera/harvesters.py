@@ -121,7 +121,8 @@ class _HarvestersBackend:
             found = await child.ask(
                 "start",
                 producers=[str(path) for path in self._producers],
-                camera=await self._serial(),
+                camera=self.name,
+                serial=await self._serial(),
                 settings=asdict(self._settings),
             )
         except BaseException:

@@ -36,9 +36,8 @@ def _serve(channel: socket.socket, memory_fd: int) -> None:
         nonlocal device
         match request["do"]:
             case "start":
-                device = HarvestersDevice(
-                    request["producers"], request["camera"], CameraSettings(**request["settings"])
-                )
+                settings = CameraSettings(**request["settings"])
+                device = HarvestersDevice(request["producers"], request["camera"], request["serial"], settings)
                 info, address = device.start()
                 names = ("vendor", "model", "serial", "width", "height", "pixel_format")
                 return {name: getattr(info, name) for name in names} | {"address": address}

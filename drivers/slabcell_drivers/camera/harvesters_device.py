@@ -44,10 +44,14 @@ RawFrame = tuple[npt.NDArray[np.uint8], dict[str, Any]]
 
 
 class HarvestersDevice:
-    """A camera behind a GenTL producer.  ``camera`` is a serial number, device id or user-defined name."""
+    """A camera behind a GenTL producer.  ``camera`` is a serial number, device id or user-defined name.
 
-    def __init__(self, producers: Sequence[str], camera: str, settings: CameraSettings) -> None:
+    ``serial`` is a serial number that is as good, for a producer that does not know the camera by ``camera``.
+    """
+
+    def __init__(self, producers: Sequence[str], camera: str, serial: str, settings: CameraSettings) -> None:
         self._camera = camera
+        self._serial = serial
         self._settings = settings
         self._incomplete = 0
         self._doubtful = False
@@ -124,12 +128,15 @@ class HarvestersDevice:
 
     def _choose(self) -> int:
         """Return the place of the wanted camera in the producer's list.  Raises CameraLost."""
-        seen: list[str] = []
-        for index, device in enumerate(self._harvester.device_info_list):
-            names = [_ask(device, name) for name in ("serial_number", "id_", "user_defined_name")]
-            if self._camera in names:
-                return index
-            seen.append(str(names[0] or names[1]))
+        names = [
+            [_ask(device, name) for name in ("serial_number", "id_", "user_defined_name")]
+            for device in self._harvester.device_info_list
+        ]
+        for wanted in (self._camera, self._serial):
+            for index, found in enumerate(names):
+                if wanted in found:
+                    return index
+        seen = [str(found[0] or found[1]) for found in names]
         raise CameraLost(
             f"camera {self._camera}: is not among the cameras of {', '.join(self._harvester.files) or 'no producer'}:"
             f" {', '.join(seen) or 'there is none'}"

@@ -118,20 +118,21 @@ def decode_pixels(data: npt.NDArray[np.uint8], width: int, height: int, form: Pi
     if form.channels == 3:
         image = data.reshape(height, width, 3)
         return image[:, :, ::-1].copy() if form.name == "RGB8" else image.copy()
-    values = _values(data, width * height, form).reshape(height, width)
+    values = _values(data, (height, width), form)
     if not form.bayer:
         return values
     colour = cv2.cvtColor(values, _BAYER_TO_BGR[form.bayer])
     return np.asarray(colour, np.uint8) if values.dtype == np.uint8 else np.asarray(colour, np.uint16)
 
 
-def _values(data: npt.NDArray[np.uint8], count: int, form: PixelFormat) -> Pixels:
+def _values(data: npt.NDArray[np.uint8], shape: tuple[int, int], form: PixelFormat) -> Pixels:
     """Return one value a pixel, uint16 shifted up to full scale where the format has more than 8 bits."""
     if form.layout is Layout.BYTES:
-        return data.copy()
+        return data.reshape(shape).copy()
+    count = shape[0] * shape[1]
     shift = 16 - form.bits
     if form.layout is Layout.WORDS:
-        return np.left_shift(data.view("<u2"), shift).astype(np.uint16, copy=False)
+        return np.left_shift(data.view("<u2").reshape(shape), shift).astype(np.uint16, copy=False)
     wide = np.zeros(_padded(count, form), np.uint16)
     if form.layout is Layout.PACKED_GEV:
         triples = np.zeros(-(-data.size // 3) * 3, np.uint8)
@@ -155,7 +156,7 @@ def _values(data: npt.NDArray[np.uint8], count: int, form: PixelFormat) -> Pixel
         wide[1::4] = (b >> 2) | ((c & 0x0F) << 6)
         wide[2::4] = (c >> 4) | ((d & 0x3F) << 4)
         wide[3::4] = (d >> 6) | (e << 2)
-    return np.left_shift(wide[:count], shift)
+    return np.left_shift(wide[:count].reshape(shape), shift)
 
 
 def _padded(count: int, form: PixelFormat) -> int:

@@ -4,10 +4,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-__all__ = ["NO_FEATURES", "CameraSettings", "CameraStatistics", "FeatureValue"]
+from slabcell_drivers.camera.protocol import CameraConfigError
+
+__all__ = ["CameraSettings", "CameraStatistics", "FeatureValue"]
 
 FeatureValue = bool | int | float | str
-NO_FEATURES: Final[Mapping[str, FeatureValue]] = {}
+MIN_HEARTBEAT_MS: Final = 1500
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +39,15 @@ class CameraSettings:
     buffers: int = 6
     packet_socket: bool = False
     features: Mapping[str, FeatureValue] = field(default_factory=dict[str, FeatureValue])
+
+    def __post_init__(self) -> None:
+        if not MIN_HEARTBEAT_MS <= self.heartbeat_ms <= 600_000:
+            raise CameraConfigError(
+                f"heartbeat_ms = {self.heartbeat_ms} is refused: it must be {MIN_HEARTBEAT_MS} to 600000; libraries"
+                " show themselves to the camera once a second, and it must miss more than one before it lets go"
+            )
+        if not 2 <= self.buffers <= 1000:
+            raise CameraConfigError(f"buffers = {self.buffers} is refused: it must be 2 to 1000")
 
 
 @dataclass(slots=True)

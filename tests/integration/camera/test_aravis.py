@@ -27,8 +27,8 @@ from slabcell_drivers.simulation.gige import CheckedPattern, GigeCamera, SensorL
 
 pytestmark = [pytest.mark.integration, pytest.mark.usefixtures("aravis")]
 
-FAST = CameraSettings(packet_size=8000, exposure_us=1000.0, gain_db=13.9794, heartbeat_ms=1000)  # gain: 5 ms again
-PLAIN = CameraSettings(packet_size=8000, heartbeat_ms=1000)
+FAST = CameraSettings(packet_size=8000, exposure_us=1000.0, gain_db=13.9794, heartbeat_ms=2000)  # gain: 5 ms again
+PLAIN = CameraSettings(packet_size=8000, heartbeat_ms=2000)
 LOOPBACK = [Interface("lo", "127.0.0.1", "127.255.255.255")]
 
 
@@ -55,7 +55,7 @@ async def until_lost(camera: AravisCamera) -> None:
 async def test_fifty_triggers_give_fifty_whole_frames_each_its_own(address: str) -> None:
     pattern = CheckedPattern()
     with GigeCamera(pattern, address, serial="FIFTY") as gige:
-        async with opened(address, CameraSettings(heartbeat_ms=1000)) as camera:
+        async with opened(address, CameraSettings(heartbeat_ms=2000)) as camera:
             assert camera.info is not None
             assert (camera.info.serial, camera.info.width, camera.info.height) == ("FIFTY", 1920, 1200)
             for _ in range(50):
@@ -314,7 +314,7 @@ async def test_after_a_client_was_killed_the_next_one_gets_the_camera_when_the_h
         "from slabcell_drivers.camera.aravis import AravisCamera\n"
         "from slabcell_drivers.camera.settings import CameraSettings\n"
         "async def main():\n"
-        "    camera = AravisCamera(sys.argv[1], CameraSettings(heartbeat_ms=1000, packet_size=8000))\n"
+        "    camera = AravisCamera(sys.argv[1], CameraSettings(heartbeat_ms=2000, packet_size=8000))\n"
         "    await camera.open(5.0)\n"
         "    await camera.snap(2.0)\n"
         "    print('open', flush=True)\n"

@@ -60,7 +60,7 @@ def fake_camera(tool: Callable[[str], str]) -> Iterator[str]:
 
 async def test_our_driver_streams_from_the_fake_camera_of_aravis(fake_camera: str) -> None:
     # Its ids begin at 65400, it looks for triggers 25 times a second, knows no test packet and no resend.
-    settings = CameraSettings(width=128, height=128, packet_size=1400, exposure_us=1000.0, heartbeat_ms=1000)
+    settings = CameraSettings(width=128, height=128, packet_size=1400, exposure_us=1000.0, heartbeat_ms=2000)
     camera = AravisCamera(fake_camera, settings)
     try:
         info = await camera.open(5.0)

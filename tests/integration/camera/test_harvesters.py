@@ -28,7 +28,7 @@ from .conftest import need
 pytestmark = pytest.mark.integration
 
 MONO = "SN_InterfaceA_0"
-PLAIN = CameraSettings(packet_size=8000, heartbeat_ms=1000)
+PLAIN = CameraSettings(packet_size=8000, heartbeat_ms=2000)
 
 
 @pytest.fixture(scope="session")
