@@ -91,8 +91,8 @@ def _clear_message(host: Host, handle: Value) -> bool:
 
 def _dialog_exists(host: Host, handle: Value, answer: Place | None = None) -> bool:
     key = host.messages.answered(int(handle))
+    host.expect_operator(waits=key is None)
     if key is None:
-        host.expect_operator()
         return True
     if answer is not None:
         answer.set(key)
@@ -144,8 +144,8 @@ def _is_answered(host: Host) -> bool:
         return True
     handle, answer = host.open_dialog
     key = host.messages.answered(handle)
+    host.expect_operator(waits=key is None)
     if key is None:
-        host.expect_operator()
         return False
     answer.set(key)
     host.open_dialog = None
@@ -311,10 +311,6 @@ def _pulse(host: Host, output: Place, level: Value, seconds: Value) -> None:
     host.schedule(float(seconds), lambda: output.set(not level))
 
 
-def _not_here(name: str) -> "_NotHere":
-    return _NotHere(name)
-
-
 class _NotHere:
     """A function of interfaces that this controller does not have."""
 
@@ -349,8 +345,8 @@ MESSAGE_BUILTINS: dict[str, Builtin] = {
     "CAST_TO": Builtin(_cast_to, 3, 34, frozenset({0, 1}), rest_out=True),
     "CAST_FROM": Builtin(_cast_from, 3, 34, frozenset({0, 1}), rest_out=True),
     "CWRITE": Builtin(_channel_write, 2, 34, frozenset({1})),
-    "CREAD": Builtin(_not_here("CREAD"), 1, 34),
-    "COPEN": Builtin(_not_here("COPEN"), 1, 4),
-    "CCLOSE": Builtin(_not_here("CCLOSE"), 1, 4),
+    "CREAD": Builtin(_NotHere("CREAD"), 1, 34),
+    "COPEN": Builtin(_NotHere("COPEN"), 1, 4),
+    "CCLOSE": Builtin(_NotHere("CCLOSE"), 1, 4),
     "PULSE": Builtin(_pulse, 3, 3, frozenset({0}), traits=_STOP),
 }

@@ -4,6 +4,7 @@ It loads a project of .src and .dat files, runs a program in virtual time, and t
 outputs and the tool do.  It is *not* a safety controller and not a substitute for a test run in T1.
 """
 
+import random
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -11,12 +12,14 @@ from pathlib import Path
 from typing import Protocol, Self
 
 from slabcell_drivers.krc.cells import Place
+from slabcell_drivers.krc.clock import Clock
 from slabcell_drivers.krc.code import Activation, Code
 from slabcell_drivers.krc.compile_expressions import ExpressionCompiler
 from slabcell_drivers.krc.data_values import to_krl, to_python
 from slabcell_drivers.krc.eki import EkiEvent, EthernetKrl
 from slabcell_drivers.krc.eki_channel import TelegramDirection, WireOptions
 from slabcell_drivers.krc.eki_transport import Link
+from slabcell_drivers.krc.io_state import InputsOutputs
 from slabcell_drivers.krc.kernel import STATEMENT_S, Hooks, Kernel
 from slabcell_drivers.krc.loading import load_predefined, load_sources, read_project, stem_of
 from slabcell_drivers.krc.messages import KrlError, RunMessage
@@ -118,18 +121,23 @@ class SoftwareKrc:
             dialog=dialog or _no_answer,
         )
         self._outputs_hold = False
-        self._kernel = kernel = Kernel(arm=robot, home=home_axes_deg, hooks=hooks, seed=seed, speed=speed)
-        kernel.eki = EthernetKrl(
-            dict(eki_configs or {}),
-            set_flag=kernel.io.flags.flags.put,
-            set_out=kernel.io.outputs.put,
-            rng=kernel.rng,
-            addresses=eki_addresses,
-            link=eki_link,
-            wire=eki_wire,
-            clock=lambda: kernel.clock.now_s,
-            on_telegram=self._telegram,
-            on_notice=lambda channel, text: self._emit("message", f"EKI {channel}: {text}"),
+
+        def make_eki(io: InputsOutputs, clock: Clock, rng: random.Random) -> EthernetKrl:
+            return EthernetKrl(
+                dict(eki_configs or {}),
+                set_flag=io.flags.flags.put,
+                set_out=io.outputs.put,
+                rng=rng,
+                addresses=eki_addresses,
+                link=eki_link,
+                wire=eki_wire,
+                clock=lambda: clock.now_s,
+                on_telegram=self._telegram,
+                on_notice=lambda channel, text: self._emit("message", f"EKI {channel}: {text}"),
+            )
+
+        self._kernel = kernel = Kernel(
+            arm=robot, home=home_axes_deg, hooks=hooks, make_eki=make_eki, seed=seed, speed=speed
         )
         kernel.statement_s = statement_s
         if "statement" in self._kinds:

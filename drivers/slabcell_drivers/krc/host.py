@@ -58,8 +58,8 @@ class Host(Protocol):
         """Note that the program waits for the network."""
         ...
 
-    def expect_operator(self) -> None:
-        """Note that the program waits for the operator."""
+    def expect_operator(self, *, waits: bool) -> None:
+        """Note whether the program waits for the operator."""
         ...
 
     def open_channel(self, name: str) -> EkiStatus:

@@ -175,7 +175,7 @@ class TimerFlags:
 
 
 class Flags:
-    """$FLAG and $CYCFLAG; ``waited_for`` notes that the program looked at a flag in vain."""
+    """$FLAG and $CYCFLAG."""
 
     def __init__(self) -> None:
         self.flags = Bits("$FLAG", FLAG_COUNT)

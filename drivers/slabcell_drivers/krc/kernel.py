@@ -69,7 +69,16 @@ class Hooks:
 class Kernel:
     """All parts of the controller, and the tick that moves them on."""
 
-    def __init__(self, *, arm: ArmModel, home: Axes, hooks: Hooks, seed: int, speed: float | None) -> None:
+    def __init__(
+        self,
+        *,
+        arm: ArmModel,
+        home: Axes,
+        hooks: Hooks,
+        make_eki: Callable[[InputsOutputs, Clock, random.Random], EthernetKrl],
+        seed: int,
+        speed: float | None,
+    ) -> None:
         self.clock = Clock()
         self.rng = random.Random(seed)  # noqa: S311  # for repeatable runs, not for secrets
         self.speed = speed
@@ -96,7 +105,7 @@ class Kernel:
         self.interpreter = Interpreter(self, self.project, self.motion, self.clock)
         self.submit = Interpreter(self, self.project, self.motion, self.clock, may_move=False)
         self._running = self.interpreter
-        self.eki: EthernetKrl = EthernetKrl({}, set_flag=self._set_flag, set_out=self._set_out, rng=self.rng)
+        self.eki = make_eki(self.io, self.clock, self.rng)
         self.error_text = ""
         self.ending: Ending | None = None
         self._events: list[tuple[float, int, Callable[[], None]]] = []
@@ -112,12 +121,6 @@ class Kernel:
             message = f"predefined.dat does not declare {name}"
             raise LookupError(message)
         return type_
-
-    def _set_flag(self, number: int, value: bool) -> None:  # noqa: FBT001  # called by EthernetKrl
-        self.io.flags.flags.put(number, value)
-
-    def _set_out(self, number: int, value: bool) -> None:  # noqa: FBT001  # called by EthernetKrl
-        self.io.outputs.put(number, value)
 
     def _fire(self, trigger: TriggerOrder) -> None:
         self.interpreter.fire(trigger)
@@ -200,9 +203,9 @@ class Kernel:
         """Note that the program waits for the network: idle time passes as on the wall until something comes."""
         self._network_is_due = True
 
-    def expect_operator(self) -> None:
-        """Note that the program waits for the operator."""
-        self._operator_is_due = True
+    def expect_operator(self, *, waits: bool) -> None:
+        """Note whether the program waits for the operator, whose time is that on the wall."""
+        self._operator_is_due = waits
 
     def open_channel(self, name: str) -> EkiStatus:
         """Open an EKI channel; a client waits for its server, and time goes on meanwhile."""

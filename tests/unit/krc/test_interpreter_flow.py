@@ -549,7 +549,7 @@ def test_a_program_with_a_syntax_error_is_not_started():
     assert "expected an expression" in result.message
 
 
-# --- submit interpreter -----------------------------------------------------------------------------------------------
+# --- submit interpreter ----------------------------------------------------------------------------------------------
 
 
 def test_the_submit_program_runs_beside_the_selected_one_and_sees_its_data():
@@ -580,3 +580,23 @@ def test_an_error_in_the_submit_program_ends_it_and_not_the_robot():
     assert krc.run("t", max_wall_s=20).status == "done"
     assert krc.messages[0].originator == "SUBMIT"
     assert "may not move" in krc.messages[0].text
+
+
+# --- real time -------------------------------------------------------------------------------------------------------
+
+
+def test_at_a_speed_every_step_of_the_way_is_told():
+    class Watcher(Wires):
+        def output_changed(self, index, value, tcp):
+            pass
+
+    watcher = Watcher()
+    assert Bench(f"{START}PTP {AWAY}", io=watcher, speed=50.0).run().status == "done"
+    assert len(watcher.places) > 20
+    assert watcher.places[-1].as_tuple() == pytest.approx(done(f"{START}PTP {AWAY}").krc.tcp.as_tuple(), abs=1e-6)
+
+
+def test_after_a_dialog_is_answered_time_runs_free_again():
+    bench = Bench('MsgDialog(n,"go on?","cell",,"YES")\nWAIT SEC 1000', data="INT n", dialog=lambda message: 1)
+    assert bench.run(max_wall_s=10).status == "done"
+    assert bench.krc.virtual_time_s > 1000
