@@ -48,6 +48,15 @@ def test_the_demo_fills_every_slot_whatever_the_seed(scene: str, tmp_path: Path)
     assert list((tmp_path / "bundles").iterdir())
 
 
+@pytest.mark.parametrize("camera", ["aravis", "harvesters"])
+def test_the_demo_looks_through_a_real_driver(camera: str, tmp_path: Path) -> None:
+    done = demo("--camera", camera, "--json", "--out", tmp_path)
+    if done.returncode == 69 and os.environ.get("SLABCELL_REQUIRE_CAMERA") != "1":
+        pytest.skip(done.stderr)
+    assert done.returncode == 0, done.stderr
+    assert_laid(json.loads(done.stdout))
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("scene", SCENES)

@@ -63,7 +63,7 @@ def demo_command(
     ),
     camera: Annotated[
         DemoCamera,
-        typer.Option("--camera", help="What looks at the table; aravis: over GigE Vision on the loopback interface."),
+        typer.Option("--camera", help="What looks at the table; aravis and harvesters: over GigE Vision on loopback."),
     ] = DemoCamera.SIMULATED,
     *,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")] = False,

@@ -15,6 +15,7 @@ from slabcell.service.simulated import SimulatedCell
 from slabcell_drivers.camera import Camera, CameraError
 from slabcell_drivers.camera.aravis import AravisCamera
 from slabcell_drivers.camera.aravis_library import AravisMissingError
+from slabcell_drivers.camera.harvesters import HarvestersCamera
 from slabcell_drivers.camera.settings import CameraSettings
 from slabcell_drivers.simulation.gige import GigeCamera, GigeCameraError, SensorLimits
 
@@ -30,6 +31,7 @@ class DemoCamera(StrEnum):
 
     SIMULATED = "simulated"
     ARAVIS = "aravis"
+    HARVESTERS = "harvesters"
 
 
 @contextlib.asynccontextmanager
@@ -52,7 +54,11 @@ def _make(kind: DemoCamera, cell: SimulatedCell, stack: contextlib.ExitStack) ->
     if kind is DemoCamera.SIMULATED:
         return cell.camera
     gige = _switch_on(cell, stack)
-    return AravisCamera(gige.address, CameraSettings(packet_size=PACKET_BYTES))
+    settings = CameraSettings(packet_size=PACKET_BYTES)
+    if kind is DemoCamera.ARAVIS:
+        return AravisCamera(gige.address, settings)
+    # No producer named: those of GENICAM_GENTL64_PATH, else our own, which is built when it is first needed.
+    return HarvestersCamera(gige.device.serial, None, settings)
 
 
 def _switch_on(cell: SimulatedCell, stack: contextlib.ExitStack) -> GigeCamera:

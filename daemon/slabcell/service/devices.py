@@ -10,6 +10,9 @@ from typing import Self
 from slabcell.errors import ConfigurationError, TemporaryError, UnavailableError
 from slabcell.service.config import CameraConfig
 from slabcell_drivers.camera import Camera, ReplayCamera
+from slabcell_drivers.camera.aravis import AravisCamera
+from slabcell_drivers.camera.aravis_library import AravisMissingError
+from slabcell_drivers.camera.harvesters import HarvestersCamera
 from slabcell_drivers.camera.replay import ReplayMode
 
 __all__ = ["InstanceLock", "make_camera", "state_directory"]
@@ -19,17 +22,12 @@ def make_camera(config: CameraConfig) -> Camera:
     """Return the camera, not yet open.  Raises UnavailableError if its library is not installed."""
     match config.driver:
         case "aravis":
-            from slabcell_drivers.camera.aravis import AravisCamera  # noqa: PLC0415 - an optional system library
-            from slabcell_drivers.camera.aravis_library import AravisMissingError  # noqa: PLC0415 - as above
-
             try:
                 return AravisCamera(config.camera, config.settings())
             except AravisMissingError as error:
                 msg = f"[camera] driver aravis: {error}"
                 raise UnavailableError(msg) from error
         case "harvesters":
-            from slabcell_drivers.camera.harvesters import HarvestersCamera  # noqa: PLC0415 - an optional extra
-
             return HarvestersCamera(config.camera, config.producers or None, config.settings())
         case "replay":
             return ReplayCamera(config.images or Path(), mode=ReplayMode.LOOP)
