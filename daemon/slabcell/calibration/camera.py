@@ -141,7 +141,7 @@ def calibrate_camera(
     focal_distance = _focal_distance_correlation([views[i] for i in used], solution, covariance, noise_px)
     reports = _reports(views, used, solution)
     coverage = measure_coverage([views[i] for i in used])
-    warnings = _warnings(views, used, reports, solution, coverage, std, board)
+    warnings = _warnings(views, used, reports, solution, coverage, std, holdout_px, board)
     diagnostics: dict[str, object] = {
         "method": "zhang",
         "lens_model": model,
@@ -170,9 +170,8 @@ def calibrate_camera(
 def _common_size(views: Sequence[Detection]) -> tuple[int, int]:
     if len(views) < MIN_VIEWS:
         raise CalibrationError(
-            f"{len(views)} pictures show the board, at least {MIN_VIEWS} are needed (10 to 20 are good): show it "
-            "tilted by"
-            " 20 to 45 degrees in different directions, and near every corner of the picture"
+            f"{len(views)} pictures show the board, at least {MIN_VIEWS} are needed (10 to 20 are good): show it tilted"
+            " by 20 to 45 degrees in different directions, and near every corner of the picture"
         )
     sizes = {(v.width, v.height) for v in views}
     if len(sizes) > 1:
@@ -197,13 +196,19 @@ def _centre_discs(views: Sequence[Detection], model: LensModel, size: tuple[int,
 
 
 def _holdout(views: Sequence[Detection], model: LensModel, size: tuple[int, int], near: Lens) -> float:
-    """Return the rms residual of views in lenses found without them; of many views several are left out at once."""
+    """Return the rms residual of views in lenses found without them; of many views several are left out at once.
+
+    NaN where the lens hangs on a single view.
+    """
     folds = min(len(views), MAX_FOLDS)
     if len(views) - -(-len(views) // folds) < MIN_VIEWS - 1:
         return float("nan")
     squares, count = 0.0, 0
     for fold in range(folds):
-        lens = _solve([v for n, v in enumerate(views) if n % folds != fold], model, size, near).lens
+        try:
+            lens = _solve([v for n, v in enumerate(views) if n % folds != fold], model, size, near).lens
+        except CalibrationError:
+            return float("nan")
         for view in views[fold::folds]:
             residual = view.pixels - project(view.points_mm, board_pose(view.points_mm, view.pixels, lens), lens)[0]
             squares, count = squares + float((residual * residual).sum()), count + len(residual)
@@ -285,7 +290,8 @@ def _inverse(information: Points) -> Points:
     """Return the covariance; what the views do not tell gets a variance that is enormous, not zero."""
     scale = np.sqrt(np.maximum(np.diag(information), 1e-30))
     values, axes = np.linalg.eigh(information / np.outer(scale, scale))
-    return (axes / np.maximum(values, 1e-14)) @ axes.T / np.outer(scale, scale)
+    covariance = (axes / np.maximum(values, 1e-14)) @ axes.T / np.outer(scale, scale)
+    return (covariance + covariance.T) / 2.0
 
 
 def _reports(views: Sequence[Detection], used: Sequence[int], solution: _Solution) -> tuple[ViewReport, ...]:
@@ -307,6 +313,7 @@ def _warnings(
     solution: _Solution,
     coverage: Coverage,
     std: dict[str, float],
+    holdout_px: float,
     board: Board,
 ) -> tuple[str, ...]:
     lines = [
@@ -320,6 +327,12 @@ def _warnings(
         lines.append(
             f"no view is tilted by more than {max(tilts):.0f}°: focal length and distance cannot be told apart; tilt "
             "the board by 20° to 45°"
+        )
+    if holdout_px > 2.0 * solution.rms:
+        lines.append(
+            f"views that were left out fit with {holdout_px:.2f} px instead of {solution.rms:.2f} px: take more "
+            "pictures, or"
+            " a lens model with fewer coefficients"
         )
     if len(used) < 8:
         lines.append(f"only {len(used)} views: 10 to 20 give a lens that can be trusted at the rim")

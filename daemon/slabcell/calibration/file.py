@@ -26,7 +26,7 @@ MAX_FOCAL_PX = 1e7
 MAX_COEFFICIENT = 1e6
 MAX_DISTANCE_MM = 1e6
 MAX_RESIDUAL_PX = 1000.0
-MAX_VARIANCE = 1e15
+MAX_VARIANCE = 1e60  # what the views do not tell at all
 ROTATION_TOLERANCE = 1e-6
 REMEDY = "make it again with `slabcell calibrate`, or restore the file from a backup"
 

@@ -137,8 +137,9 @@ def plane_command(
     if affine is not None and touch is None:
         raise UsageError("--affine and --rigid say how touched points are fitted: give --touch POINTS.csv as well")
     detections, failures = _detect(images, shown, quiet=as_json)
-    if detections and detections[0].name != str(images[0]) and touch is None:
-        raise ImageError(f"{failures[0]} (the first picture's board is the table's frame)")
+    needs_first = not touched or any(t.pixel is None and not t.image for t in touched)
+    if needs_first and detections[0].name != str(images[0]):
+        raise ImageError(f"{failures[0]} (the first picture's board is the one that counts)")
     result = calibrate_plane(
         before, detections, shown, board_thickness_mm=board_thickness_mm, touch=touched, affine=affine
     )
