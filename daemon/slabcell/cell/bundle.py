@@ -125,6 +125,7 @@ def bundle_bytes(cycle: CycleRecord, pixels: Pixels | None, context: BundleConte
         "message": cycle.message,
         "free_slots": list(cycle.free_slots),
         "laid_slots": list(cycle.laid_slots),
+        "correction_mm": cycle.correction_mm,
         "timing_ms": {stage: round(value, 3) for stage, value in cycle.times_ms.items()},
         "refused": [{"slot": item.slot, "number": int(item.fault), "detail": item.detail} for item in cycle.refused],
         "offers": [

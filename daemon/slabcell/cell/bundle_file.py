@@ -53,6 +53,7 @@ class Bundle:
     picture: Image | None
     free_slots: tuple[int, ...]
     laid_slots: tuple[int, ...]
+    correction_mm: tuple[float, float]
     verification: bool
     code: int
     pairs: tuple[Pair, ...]
@@ -91,6 +92,7 @@ def read_bundle(path: Path) -> Bundle:
         picture=picture,
         free_slots=_checked(path, "manifest.json", lambda: _integers(manifest["free_slots"])),
         laid_slots=_checked(path, "manifest.json", lambda: _integers(manifest["laid_slots"])),
+        correction_mm=_checked(path, "manifest.json", lambda: _two(manifest["correction_mm"])),
         verification=bool(manifest.get("verification")),
         code=_checked(path, "manifest.json", lambda: _integers([manifest["code"]])[0]),
         pairs=_checked(path, "manifest.json", lambda: _pairs(manifest["offers"])),
@@ -139,6 +141,11 @@ def _numbers(value: object, length: int | None = None) -> tuple[float, ...]:
 
 def _integers(value: object) -> tuple[int, ...]:
     return tuple(int(cast("int", item)) for item in cast("list[object]", value))
+
+
+def _two(value: object) -> tuple[float, float]:
+    x, y = _numbers(value, 2)
+    return x, y
 
 
 def _frame(value: object) -> Frame:

@@ -31,7 +31,7 @@ from slabcell.cell.handover import Handover
 from slabcell.cell.ledger import Ledger
 from slabcell.cell.looking import Looking
 from slabcell.cell.planning import Planner
-from slabcell.cell.records import Job, JobState
+from slabcell.cell.records import Job, JobState, PlacementRecord
 from slabcell.cell.reply import Reply, refusal, to_answer
 from slabcell.cell.settings import CellSettings
 from slabcell.cell.states import CellEvent, CellState, Conditions, HeldCause, StateMachine, SuspendedCause
@@ -67,7 +67,7 @@ class Cell:
         calibration = calibration_from_document(calibration_to_document(calibration), "the calibration")
         self.recipe = recipe
         self.settings = settings
-        self.alarms = Alarms(self._emit)
+        self.alarms = Alarms(self._emit, clock=clock)
         self._conditions = Conditions(suspended=SuspendedCause.ROBOT_ABSENT)
         self._calibration = calibration
         self._machine = StateMachine(lambda before, after, cause: self._emit(StateChanged(before, after, cause)))
@@ -207,6 +207,34 @@ class Cell:
         async with self._turn:
             await self._desk.resolve(result_id, placed=placed)
             await self._unresolved()
+
+    async def verify(self) -> tuple[PlacementRecord, ...]:
+        """Measure now how the slabs of the job lie; the arm must be out of view, which the caller sees to.
+
+        Raises SlabcellError if the cell is not ready or has no job, and LookError if there is no usable picture.
+        """
+        async with self._turn:
+            if self.state is not CellState.READY or self.job is None:
+                what = "has no job" if self.state is CellState.READY else f"is {self.state}"
+                msg = f"the cell {what}: a verification needs a job, and a cell that is ready"
+                raise SlabcellError(msg, number=Fault.NOT_READY)
+            placements = await self._execution.verify(self.job)
+            self._cycles.settle()
+            return placements
+
+    async def halt(self, cause: str) -> None:
+        """Offer nothing any more, until `resume`.  What the robot holds it may still lay down."""
+        async with self._turn:
+            await self._desk.void(cause)
+            self._cycles.end()
+            await self._machine.fire(CellEvent.HALT, cause)
+            self._cycles.settle()
+
+    async def resume(self) -> None:
+        """Leave the halted state.  Nothing moves: the robot has to trigger."""
+        async with self._turn:
+            await self._machine.fire(CellEvent.INITIALIZE, "resumed by a person")
+            await self._machine.fire(CellEvent.PREPARE, f"recipe {self.recipe.name}")
 
     async def clear(self) -> None:
         """Leave the error state after a person has removed its cause."""

@@ -28,6 +28,8 @@ from slabcell_drivers.robot.protocol import Request
 
 __all__ = ["JobDesk", "Slots"]
 
+FEWEST_MEASURED = 3
+
 _O = OfferState
 _OPEN_STATES = frozenset({_O.PLANNED, _O.OFFERED, _O.ACCEPTED, _O.GRASPED})
 
@@ -84,12 +86,21 @@ class JobDesk:
             self.job = None
         return self.job
 
-    async def begin(self, request: Request) -> Job:
-        """Begin a job."""
+    async def begin(self, request: Request, *, correct_up_to_mm: float = 0.0) -> Job:
+        """Begin a job, laid otherwise by what the last one of its template was off as a whole, up to a limit.
+
+        Fewer than three measured slabs say nothing about the whole.
+        """
         recipe = self._recipe
-        self.job = await self._ledger.run(
-            lambda book: book.begin_job(request.job_id, recipe.name, recipe.template.sha256, len(recipe.template.slots))
-        )
+        sha = recipe.template.sha256
+
+        def work(book: LedgerFile) -> Job:
+            number, dx_mm, dy_mm = book.systematic_error(sha)
+            limit = correct_up_to_mm if number >= FEWEST_MEASURED else 0.0
+            correction = max(-limit, min(limit, -dx_mm)), max(-limit, min(limit, -dy_mm))
+            return book.begin_job(request.job_id, recipe.name, sha, len(recipe.template.slots), correction)
+
+        self.job = await self._ledger.run(work)
         self.finished = None
         self._emit(JobBegan(self.job))
         return self.job
@@ -170,6 +181,12 @@ class JobDesk:
         """Write the results of a trigger."""
         job_id = self.job.job_id if self.job is not None else (await self.begin(request)).job_id
         return await self._ledger.run(lambda book: book.record_cycle(job_id, request.session, request.sequence, pairs))
+
+    async def record(self, placements: tuple[PlacementRecord, ...]) -> None:
+        """Write what was measured of the job, which goes on."""
+        if self.job is not None:
+            job_id = self.job.job_id
+            await self._ledger.run(lambda book: book.record_placements(job_id, placements))
 
     async def move(
         self, offer: OfferRecord, state: OfferState, request: Request, reason: str = "", fault: Fault | None = None

@@ -50,6 +50,7 @@ class CycleRecord:
     placements: tuple[PlacementRecord, ...] = ()
     free_slots: tuple[int, ...] = ()
     laid_slots: tuple[int, ...] = ()
+    correction_mm: tuple[float, float] = (0.0, 0.0)
     transcript: list[dict[str, object]] = field(default_factory=list[dict[str, object]])
 
 

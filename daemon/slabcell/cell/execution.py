@@ -84,6 +84,29 @@ class Execution:
             self._cycles.end()
         return reply
 
+    async def verify(self, job: Job) -> tuple[PlacementRecord, ...]:
+        """Take a picture and measure what lies, because a person wants to know.  Raises `LookError` and LedgerError."""
+        cycle = CycleRecord(0, job.job_id, 0, 0, verification=True)
+        self._cycles.begin(cycle)
+        await self._machine.fire(CellEvent.ACQUIRE, "a person asks for a verification")
+        try:
+            frame = await self._looking.acquire(cycle)
+            await self._machine.fire(CellEvent.VERIFY, "a person asks for it")
+            slots = await self._desk.slots(self._settings.attempts_per_slot)
+            placements = await self._looking.measure(frame, slots.laid, cycle)
+        except LookError as error:
+            self._alarms.come(error.fault, str(error))
+            await self._machine.fire(CellEvent.ABANDON, str(error))
+            cycle.code = int(error.fault)
+            self._cycles.end()
+            raise
+        self._judge(placements)
+        await self._desk.record(placements)
+        self._emit(Verified(job, placements, final=False))
+        await self._machine.fire(CellEvent.FINISH, "verified")
+        self._cycles.end()
+        return placements
+
     async def _look(self, request: Request, job: Job | None, cycle: CycleRecord) -> Reply:
         frame = await self._looking.acquire(cycle)
         self._alarms.cease(*CAMERA_FAULTS)
@@ -91,7 +114,9 @@ class Execution:
             occupied = await self._occupied(frame, cycle)
             if occupied is not None:
                 return occupied
-            job = await self._desk.begin(request)
+            settings = self._settings
+            limit_mm = settings.tolerance_mm if settings.correct_systematic else 0.0
+            job = await self._desk.begin(request, correct_up_to_mm=limit_mm)
             cycle.job_id = job.job_id
         slots = await self._desk.slots(self._settings.attempts_per_slot)
         cycle.free_slots, cycle.laid_slots = slots.free, slots.laid
@@ -103,6 +128,7 @@ class Execution:
         await self._machine.fire(CellEvent.LOCATE, f"frame {frame.frame_id}")
         if slots.laid:
             await self._check_laid(job, cycle, frame, slots.laid)
+        cycle.correction_mm = job.correction_mm
         plan = await self._looking.locate(frame, slots, cycle)
         began_s = self._clock()
         written = await self._desk.write_cycle(request, plan.pairs)

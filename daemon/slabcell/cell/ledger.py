@@ -21,25 +21,17 @@ from pathlib import Path
 from typing import TypeVar, cast
 
 from slabcell.catalogue import Fault
+from slabcell.cell.ledger_rows import DAMAGE, SELECT_OFFERS, LedgerError, named, readable, to_job, to_offer
 from slabcell.cell.records import STEPS, Job, JobState, OfferRecord, OfferState, Pair, PlacementRecord
 from slabcell.cell.schema import MIGRATIONS, TABLES
-from slabcell.errors import SlabcellError
-from slabcell_drivers.robot.frame import Frame
 
 __all__ = ["Ledger", "LedgerError", "LedgerFile"]
 
 APPLICATION_ID = 0x736C6162  # "slab": tells our file from any other SQLite file
 BUSY_TIMEOUT_S = 2.0
 
-_DAMAGE = (sqlite3.Error, UnicodeDecodeError)
-"""What a damaged file can raise: damaged names within SQLite's own messages are no UTF-8."""
-
 _T = TypeVar("_T")
 _O = OfferState
-
-
-class LedgerError(SlabcellError):
-    """The ledger cannot be opened, read or written, or was asked for a step that it does not allow."""
 
 
 def _utc_now() -> str:
@@ -61,7 +53,7 @@ class LedgerFile:
             msg = f"{path}: cannot be opened: {error}; check that the directory exists and may be written"
             raise LedgerError(msg, number=Fault.LEDGER_UNWRITABLE) from error
         # Damaged text must not be another exception than damaged pages: it is shown as it is.
-        self._db.text_factory = _readable
+        self._db.text_factory = readable
         try:
             self._prepare()
         except BaseException:
@@ -94,8 +86,8 @@ class LedgerFile:
                         self._db.execute(statement)
                     self._db.execute(f"PRAGMA application_id={APPLICATION_ID}")
                     self._db.execute(f"PRAGMA user_version={step}")
-        except _DAMAGE as error:
-            raise _named(self.path, error) from error
+        except DAMAGE as error:
+            raise named(self.path, error) from error
 
     def close(self) -> None:
         """Close the file; may be called twice."""
@@ -111,15 +103,15 @@ class LedgerFile:
         except BaseException as error:
             if self._db.in_transaction:  # SQLite itself rolls back after some errors (full disk, I/O), not after all
                 self._db.execute("ROLLBACK")
-            if isinstance(error, _DAMAGE):
-                raise _named(self.path, error) from error
+            if isinstance(error, DAMAGE):
+                raise named(self.path, error) from error
             raise
 
     def _rows(self, query: str, *values: object) -> list[tuple[object, ...]]:
         try:
             return self._db.execute(query, values).fetchall()
-        except _DAMAGE as error:
-            raise _named(self.path, error) from error
+        except DAMAGE as error:
+            raise named(self.path, error) from error
 
     def new_session(self, cause: str) -> int:
         """Return a session number larger than any before."""
@@ -139,19 +131,28 @@ class LedgerFile:
     def last_job(self) -> Job | None:
         """Return the job begun last."""
         rows = self._rows(
-            "SELECT job_id, robot_job, recipe, template_sha256, slots, state FROM jobs ORDER BY job_id DESC LIMIT 1"
+            "SELECT job_id, robot_job, recipe, template_sha256, slots, state, correction_x_mm, correction_y_mm"
+            " FROM jobs ORDER BY job_id DESC LIMIT 1"
         )
-        return _job(rows[0]) if rows else None
+        return to_job(rows[0]) if rows else None
 
-    def begin_job(self, robot_job: int, recipe: str, template_sha256: str, slots: int) -> Job:
+    def begin_job(
+        self,
+        robot_job: int,
+        recipe: str,
+        template_sha256: str,
+        slots: int,
+        correction_mm: tuple[float, float] = (0.0, 0.0),
+    ) -> Job:
         """Return a new open job."""
         with self._transaction():
             cursor = self._db.execute(
-                "INSERT INTO jobs (robot_job, recipe, template_sha256, slots, state, began_utc)"
-                " VALUES (?, ?, ?, ?, 'open', ?)",
-                (robot_job, recipe, template_sha256, slots, self._now()),
+                "INSERT INTO jobs (robot_job, recipe, template_sha256, slots, state, began_utc, correction_x_mm,"
+                " correction_y_mm) VALUES (?, ?, ?, ?, 'open', ?, ?, ?)",
+                (robot_job, recipe, template_sha256, slots, self._now(), *correction_mm),
             )
-        return Job(cast("int", cursor.lastrowid), robot_job, recipe, template_sha256, slots, JobState.OPEN)
+        job_id = cast("int", cursor.lastrowid)
+        return Job(job_id, robot_job, recipe, template_sha256, slots, JobState.OPEN, correction_mm)
 
     def end_job(self, job_id: int, state: JobState) -> None:
         """Close a job."""
@@ -250,16 +251,16 @@ class LedgerFile:
 
     def offer(self, result_id: int) -> OfferRecord | None:
         """Return one result."""
-        offers = self._offers(f"{_OFFERS} WHERE result_id = ?", result_id)
+        offers = self._offers(f"{SELECT_OFFERS} WHERE result_id = ?", result_id)
         return offers[0] if offers else None
 
     def offers(self, job_id: int) -> list[OfferRecord]:
         """Return the results of a job in the order of their ids."""
-        return self._offers(f"{_OFFERS} WHERE job_id = ? ORDER BY result_id", job_id)
+        return self._offers(f"{SELECT_OFFERS} WHERE job_id = ? ORDER BY result_id", job_id)
 
     def _offers(self, query: str, value: int) -> list[OfferRecord]:
         try:
-            return [_offer(row) for row in self._rows(query, value)]
+            return [to_offer(row) for row in self._rows(query, value)]
         except (ValueError, TypeError) as error:
             msg = f"{self.path}: is damaged: a result cannot be read: {error}; keep the file, and restore a copy"
             raise LedgerError(msg, number=Fault.LEDGER_DAMAGED) from error
@@ -288,8 +289,22 @@ class LedgerFile:
             )
             names = [column[0] for column in cursor.description]
             return [dict(zip(names, row, strict=True)) for row in cursor.fetchall()]
-        except _DAMAGE as error:
-            raise _named(self.path, error) from error
+        except DAMAGE as error:
+            raise named(self.path, error) from error
+
+    def systematic_error(self, template_sha256: str) -> tuple[int, float, float]:
+        """Return over how many slabs, and by how much in x and y (mm), jobs of a template are off without a correction.
+
+        As the last complete job of the template showed it: the mean of what was measured, less its own correction.
+        """
+        rows = self._rows(
+            "SELECT count(*), avg(dx_mm) - max(correction_x_mm), avg(dy_mm) - max(correction_y_mm)"
+            " FROM placements JOIN jobs USING (job_id) WHERE found AND dx_mm IS NOT NULL AND job_id ="
+            " (SELECT max(job_id) FROM jobs WHERE state = 'complete' AND template_sha256 = ?)",
+            template_sha256,
+        )
+        number, dx_mm, dy_mm = cast("tuple[int, float | None, float | None]", rows[0])
+        return number, dx_mm or 0.0, dy_mm or 0.0
 
     def counters(self) -> dict[str, int]:
         """Return the largest id that each table ever gave."""
@@ -318,54 +333,6 @@ class LedgerFile:
     def excerpt(self, job_id: int) -> dict[str, list[dict[str, object]]]:
         """Return the rows of every table that belong to a job."""
         return {table: self.rows(table, job_id) for table in TABLES if table != "sessions"}
-
-
-_OFFERS = (
-    "SELECT result_id, job_id, cycle_id, idx, slot, state, score, pick_x, pick_y, pick_z, pick_a, pick_b, pick_c,"
-    " place_x, place_y, place_z, place_a, place_b, place_c, reason, fault FROM offers"
-)
-
-
-def _readable(raw: bytes) -> str:
-    return raw.decode("utf-8", errors="replace")
-
-
-def _offer(row: tuple[object, ...]) -> OfferRecord:
-    result_id, job_id, cycle_id, index, slot = cast("tuple[int, int, int, int, int]", row[:5])
-    numbers = cast("tuple[float, ...]", row[7:19])
-    return OfferRecord(
-        *(result_id, job_id, cycle_id, index, slot, OfferState(cast("str", row[5])), cast("float", row[6])),
-        Frame(*numbers[:6]),
-        Frame(*numbers[6:]),
-        cast("str", row[19]),
-        cast("int", row[20]),
-    )
-
-
-def _job(row: tuple[object, ...]) -> Job:
-    job_id, robot_job, recipe, sha, slots, state = cast("tuple[int, int, str, str, int, str]", row)
-    return Job(job_id, robot_job, recipe, sha, slots, JobState(state))
-
-
-def _named(path: Path, error: Exception) -> LedgerError:
-    """Return the error as a person needs it: full disk, read-only, damaged, in use, or something else."""
-    name = getattr(error, "sqlite_errorname", "")
-    if name.startswith("SQLITE_FULL"):
-        return LedgerError(f"{path}: the disk is full: free some space, then clear the alarm", number=Fault.DISK_FULL)
-    if name.startswith(("SQLITE_READONLY", "SQLITE_IOERR", "SQLITE_CANTOPEN", "SQLITE_PERM")):
-        return LedgerError(
-            f"{path}: cannot be written ({name}: {error}); check disk and permissions", number=Fault.LEDGER_UNWRITABLE
-        )
-    if name.startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB")) or isinstance(error, UnicodeDecodeError):
-        return LedgerError(
-            f"{path}: is damaged ({name or 'text'}: {error}); keep the file, and restore a copy",
-            number=Fault.LEDGER_DAMAGED,
-        )
-    if name.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
-        return LedgerError(
-            f"{path}: is in use by another process; is a second slabcell running?", number=Fault.LEDGER_IN_USE
-        )
-    return LedgerError(f"{path}: {name or type(error).__name__}: {error}", number=Fault.LEDGER_ERROR)
 
 
 class Ledger:

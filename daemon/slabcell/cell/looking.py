@@ -116,7 +116,9 @@ class Looking:
                 self._emit(StageEnded(stage, duration_ms))
         self._emit(PartsLocated(result))
         with self._stage(cycle, "plan"):
-            outcome = await self._compute(lambda: self._planner.plan(result.parts, laid=slots.laid))
+            outcome = await self._compute(
+                lambda: self._planner.plan(result.parts, laid=slots.laid, correction_mm=cycle.correction_mm)
+            )
         cycle.refused = outcome.refused
         return outcome
 

@@ -8,7 +8,7 @@ hinder a tool that touches their upper faces, and everything else that may stand
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -83,8 +83,19 @@ class Planner:
         self._straight = math.hypot(x, y) < STRAIGHT_MM and math.hypot(b, c) < STRAIGHT_DEG
         self._zones = [(zone.shape, zone.shape.buffer(settings.gripper_radius_mm)) for zone in settings.forbidden]
 
-    def plan(self, parts: Sequence[LocatedPart], *, laid: Collection[int] = ()) -> Plan:
-        """Return what can be done with the located parts, when the slots ``laid`` are filled already."""
+    def plan(
+        self,
+        parts: Sequence[LocatedPart],
+        *,
+        laid: Collection[int] = (),
+        correction_mm: tuple[float, float] = (0.0, 0.0),
+    ) -> Plan:
+        """Return what can be done with the located parts, when the slots ``laid`` are filled already.
+
+        ``correction_mm`` is added to every place in x and y of the assembly.
+        """
+        if correction_mm != (0.0, 0.0):
+            parts = [replace(part, place=_shifted(part.place, correction_mm)) for part in parts]
         refused: list[Refusal] = []
         possible: dict[int, LocatedPart] = {}
         for part in sorted(parts, key=lambda item: item.slot):
@@ -97,7 +108,7 @@ class Planner:
         wrist_deg: float | None = None
         for slot in self._order.order(possible, laid):
             try:
-                pair, wrist_deg = self._pair(possible[slot], wrist_deg)
+                pair, wrist_deg = self._pair(possible[slot], wrist_deg, correction_mm)
             except ArmError as error:
                 refused.append(Refusal(slot, Fault.UNREACHABLE, str(error)))
                 continue
@@ -122,9 +133,11 @@ class Planner:
                 return Refusal(part.slot, Fault.COLLISION, f"slot {part.slot} lies in forbidden zone {number}")
         return None
 
-    def _pair(self, part: LocatedPart, wrist_deg: float | None) -> tuple[Pair, float]:
+    def _pair(
+        self, part: LocatedPart, wrist_deg: float | None, correction_mm: tuple[float, float]
+    ) -> tuple[Pair, float]:
         """Return the poses of one part, and where A6 stands after it was laid.  Raises ArmError."""
-        places = self._alike(part)
+        places = self._alike(part, correction_mm)
         if self._straight:
             options = [
                 (self._wrist_travel(axes, turn, wrist_deg), turn, place)
@@ -136,10 +149,10 @@ class Planner:
         pair = Pair(part.slot, self._down(part.pick, turn), self._down(place, turn), part.score)
         return pair, last
 
-    def _alike(self, part: LocatedPart) -> list[PlanarPose]:
+    def _alike(self, part: LocatedPart, correction_mm: tuple[float, float]) -> list[PlanarPose]:
         """Return the ways to lay the part that look the same."""
         order = max(1, min(part.symmetry_order, 12))
-        middle: Points = self._recipe.template.slots[part.slot].centroid
+        middle: Points = self._recipe.template.slots[part.slot].centroid + np.array(correction_mm)
         place = part.place
         found = [place]
         for step in range(1, order):
@@ -198,6 +211,10 @@ class Planner:
     def _down(self, pose: PlanarPose, turn_deg: float) -> Frame:
         height_mm = self._recipe.thickness_mm
         return Frame(pose.x_mm, pose.y_mm, height_mm, normalize_deg(pose.a_deg + turn_deg), 0.0, 180.0)
+
+
+def _shifted(pose: PlanarPose, shift_mm: tuple[float, float]) -> PlanarPose:
+    return PlanarPose(pose.x_mm + shift_mm[0], pose.y_mm + shift_mm[1], pose.a_deg)
 
 
 def _turned(pose: PlanarPose, turn_deg: float) -> PlanarPose:

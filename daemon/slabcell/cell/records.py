@@ -65,7 +65,7 @@ Steps forward may be skipped: an acknowledgement that was lost is overtaken by t
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One filling of a template."""
+    """One filling of a template; every place is shifted by the correction."""
 
     job_id: int
     robot_job: int
@@ -73,6 +73,7 @@ class Job:
     template_sha256: str
     slots: int
     state: JobState
+    correction_mm: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)

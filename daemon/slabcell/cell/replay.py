@@ -50,7 +50,9 @@ def replay(bundle: Bundle, recipe: Recipe | None = None) -> Replay:
     located = Locator(bundle.calibration, used).locate(
         bundle.picture, area_mm=bundle.settings.pick_area, free_slots=bundle.free_slots
     )
-    planned = Planner(used, bundle.settings, bundle.arm).plan(located.parts, laid=bundle.laid_slots)
+    planned = Planner(used, bundle.settings, bundle.arm).plan(
+        located.parts, laid=bundle.laid_slots, correction_mm=bundle.correction_mm
+    )
     before = {pair.slot: pair for pair in bundle.pairs}
     after = {pair.slot: pair for pair in planned.pairs}
     differences: list[Difference] = []

@@ -72,4 +72,10 @@ _V1 = (
     ) STRICT""",
 )
 
-MIGRATIONS: tuple[tuple[str, ...], ...] = (_V1,)
+_V2 = (
+    "ALTER TABLE jobs ADD COLUMN correction_x_mm REAL NOT NULL DEFAULT 0",
+    "ALTER TABLE jobs ADD COLUMN correction_y_mm REAL NOT NULL DEFAULT 0",
+)
+"""By how much a job is laid otherwise than its template says, to make up for a systematic error."""
+
+MIGRATIONS: tuple[tuple[str, ...], ...] = (_V1, _V2)

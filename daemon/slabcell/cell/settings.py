@@ -21,7 +21,8 @@ class CellSettings:
     the tool centre point in the flange's frame.  ``pick_area`` and the ``forbidden`` zones are in table coordinates:
     outside of the one nothing is picked, into the others neither tool nor slab is lowered.  A pose is approached and
     left straight from ``approach_mm`` above.  Before a job begins, its slots are looked at: nothing is laid onto slabs
-    that lie there still (``check_assembly_is_empty``).
+    that lie there still (``check_assembly_is_empty``).  With ``correct_systematic`` a job is laid the other way by what
+    the last one of its template was off as a whole, at most by the tolerance.
     """
 
     pick_base: Frame
@@ -35,6 +36,7 @@ class CellSettings:
     tolerance_deg: float = 0.5
     attempts_per_slot: int = 3
     check_assembly_is_empty: bool = True
+    correct_systematic: bool = False
     camera_timeout_s: float = 2.0
     vision_timeout_s: float = 10.0
     busy_timeout_s: float = 5.0

@@ -10,7 +10,7 @@ from slabcell.catalogue import Fault
 from slabcell.cell import events
 from slabcell.cell.records import JobState
 from slabcell.cell.states import CellState, HeldCause, SuspendedCause
-from slabcell.errors import ImageError
+from slabcell.errors import ImageError, SlabcellError
 from slabcell_drivers.camera.protocol import CameraIncomplete, CameraLost, CameraTimeout
 from slabcell_drivers.robot.protocol import AckState, RequestType, ResultCode
 
@@ -403,3 +403,70 @@ async def test_stopping_takes_back_what_the_robot_has_not_begun_with(bench):
     await bench.cell.stop()
     assert sorted((await bench.states()).values()) == ["accepted", "void", "void"]
     assert (await bench.robot.hello()).code == Fault.NOT_READY
+
+
+async def test_a_person_may_have_laid_slabs_measured_at_any_time(bench):
+    with pytest.raises(SlabcellError, match="has no job"):
+        await bench.cell.verify()
+    await bench.robot.hello()
+    bench.eyes.on_table = {0, 2}
+    await bench.robot.lay_all()
+    assert [item.slot for item in await bench.cell.verify()] == [0, 2]
+    assert bench.cell.state is CellState.READY
+    assert len(await bench.ledger.run(lambda book: book.rows("placements"))) == 2
+    bench.camera.script.append(CameraLost("gone"))
+    with pytest.raises(SlabcellError, match="gone"):
+        await bench.cell.verify()
+    assert bench.cell.state is CellState.READY
+
+
+async def test_a_halted_cell_takes_no_trigger_but_hears_what_became_of_the_slab_in_hand(bench):
+    await bench.robot.hello()
+    await bench.robot.trigger()
+    await bench.robot.say(AckState.ACCEPTED, (await bench.robot.next()).offer.result_id)
+    await bench.robot.say(AckState.GRASPED)
+    await bench.cell.halt("a person looks")
+    assert bench.cell.state is CellState.HALTED
+    assert (await bench.robot.say(AckState.PLACED)).code == 0
+    assert sorted((await bench.states()).values()) == ["placed", "void", "void"]
+    assert (await bench.robot.trigger()).code == Fault.NOT_READY
+    await bench.cell.resume()
+    assert (await bench.robot.lay_all()).code == ResultCode.JOB_COMPLETE
+
+
+@pytest.mark.parametrize(("offset_mm", "corrected_mm"), [(0.2, -0.2), (-0.3, 0.3), (0.9, -0.5)])
+async def test_the_next_job_is_laid_otherwise_by_what_the_last_was_off_if_that_is_wanted(
+    bench, offset_mm, corrected_mm
+):
+    await bench.stop()
+    bench.settings = replace(bench.settings, correct_systematic=True)
+    await bench.start()
+    bench.eyes.offset_mm = offset_mm
+    await bench.robot.hello()
+    await bench.robot.lay_all()
+    first = {offer.slot: offer.place for offer in bench.cell.cycles[0].offers}
+    bench.eyes.lying.clear()
+    await bench.robot.hello()
+    await bench.robot.trigger()
+    second = {offer.slot: offer.place for offer in bench.cell.cycles[-1].offers}
+    for slot, place in second.items():
+        assert place.x_mm - first[slot].x_mm == pytest.approx(corrected_mm)
+        assert place.y_mm - first[slot].y_mm == pytest.approx(0.0)
+    # The correction helps, and therefore stays: it is not taken back because nothing is off any more.
+    bench.eyes.offset_mm = offset_mm + corrected_mm
+    await bench.robot.hello()
+    await bench.robot.lay_all()
+    bench.eyes.lying.clear()
+    await bench.robot.hello()
+    await bench.robot.trigger()
+    assert bench.cell.cycles[-1].correction_mm == pytest.approx((corrected_mm, 0.0))
+
+
+async def test_without_being_wanted_nothing_is_corrected(bench):
+    bench.eyes.offset_mm = 0.3
+    await bench.robot.hello()
+    await bench.robot.lay_all()
+    bench.eyes.lying.clear()
+    await bench.robot.hello()
+    await bench.robot.trigger()
+    assert bench.cell.cycles[-1].correction_mm == (0.0, 0.0)
