@@ -418,7 +418,7 @@ def judge(outcome):
     if outcome.ended == "done":
         if outcome.job_state == "complete" and not all(table.in_slot(slab) for slab in range(SLABS)):
             wrong.append("the job is complete, but not every slab lies in its slot")
-        if outcome.job_state != "complete" and not any("Nothing on the table" in text for text in outcome.messages):
+        if outcome.job_state != "complete" and outcome.messages[-1] not in CATALOGUE_TEXTS:
             wrong.append(f"the program ended, but the job is {outcome.job_state}")
     elif outcome.ended == "halted":
         last = outcome.messages[-1] if outcome.messages else ""
@@ -462,7 +462,7 @@ def test_the_judge_sees_a_slab_that_is_lost_laid_twice_or_not_where_the_ledger_s
     twice.table.grips = [(0, False), (0, True)]
     assert judge(twice) == ["slab 0 was picked out of its slot", "slab 0 was gripped 2 times for 0 results given up"]
     assert judge(outcome_with(messages=["Something odd"])) == ["stopped without a named error: 'Something odd'"]
-    assert judge(outcome_with(ended="done")) == ["the program ended, but the job is open"]
+    assert judge(outcome_with(ended="done", messages=["Something odd"])) == ["the program ended, but the job is open"]
     assert judge(outcome_with(ended="done", job_state="complete")) == [
         "the job is complete, but not every slab lies in its slot"
     ]

@@ -22,7 +22,8 @@ def test_a_numbered_text_is_the_catalogues(text):
 
 
 def test_every_error_of_the_program_in_the_catalogue_is_shown_by_the_program():
-    assert {int(text[:4]) for text in NUMBERED} == {int(fault) for fault in Fault if 2000 <= fault < 2100}
+    own = {int(fault) for fault in Fault if 2000 <= fault < 2100}
+    assert {int(text[:4]) for text in NUMBERED if text.startswith("20")} == own
 
 
 def test_the_numbers_of_messages_and_texts_agree():
