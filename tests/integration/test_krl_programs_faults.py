@@ -418,7 +418,7 @@ def judge(outcome):
     if outcome.ended == "done":
         if outcome.job_state == "complete" and not all(table.in_slot(slab) for slab in range(SLABS)):
             wrong.append("the job is complete, but not every slab lies in its slot")
-        if outcome.job_state != "complete" and outcome.messages[-1] not in CATALOGUE_TEXTS:
+        if outcome.job_state != "complete" and (outcome.messages or [""])[-1] not in CATALOGUE_TEXTS:
             wrong.append(f"the program ended, but the job is {outcome.job_state}")
     elif outcome.ended == "halted":
         last = outcome.messages[-1] if outcome.messages else ""
