@@ -193,9 +193,9 @@ class EthernetKrl:
             self.clear(key)
 
     @property
-    def is_connected(self) -> bool:
-        """Tell whether any channel has a connection."""
-        return any(channel.connected for channel in self._channels.values())
+    def is_open(self) -> bool:
+        """Tell whether anything can come: a channel has a connection, or listens for one."""
+        return bool(self._servers) or any(channel.connected for channel in self._channels.values())
 
     def connect_timeout_s(self, channel: str) -> float:
         """Return how long `open` of this client waits at most; 2 s where the configuration does not say."""

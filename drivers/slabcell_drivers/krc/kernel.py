@@ -137,10 +137,10 @@ class Kernel:
             self._wait_for_wall(step_s / self.speed)
         elif self._is_tied_to_wall(pause):
             began = time.monotonic()
-            self._poll(step_s)
+            self.eki.poll(step_s)
             step_s = min(step_s, max(1e-4, time.monotonic() - began))
         else:
-            self._poll(0.0)
+            self.eki.poll()
         self.clock.now_s += step_s
         while self._events and self._events[0][0] <= self.clock.now_s:
             heapq.heappop(self._events)[2]()
@@ -161,10 +161,6 @@ class Kernel:
         finally:
             self._running = self.interpreter
 
-    def _poll(self, timeout_s: float) -> None:
-        if self.eki.poll(timeout_s) and not self.eki.is_connected:
-            self._network_is_due = False  # nobody is left who could answer
-
     def telegram_came(self) -> None:
         """Note that what the program waited for may have come."""
         self._network_is_due = False
@@ -172,7 +168,7 @@ class Kernel:
     def _is_tied_to_wall(self, pause: Pause | None) -> bool:
         if self.motion.is_moving:
             return False
-        if self._network_is_due:
+        if self._network_is_due and self.eki.is_open:
             return True
         if pause is Pause.CONDITION or self._operator_is_due:
             return not (self._events or self.interpreter.interrupts.waits_for_time())

@@ -30,7 +30,7 @@ class Bench:
         assert [str(d) for d in self.krc.diagnostics] == []
 
     def run(self, **options):
-        return self.krc.run("t", max_wall_s=options.get("max_wall_s", 20))
+        return self.krc.run("t", max_wall_s=options.get("max_wall_s", 60))
 
     def times(self, text):
         return [e.time_s for e in self.events if text in e.text]
@@ -459,7 +459,7 @@ def test_a_halt_ends_the_run_and_start_goes_on_behind_it():
     bench = Bench("n=1\nHALT\nn=2", data="INT n")
     assert bench.run().status == "halted"
     assert bench.data("n") == 1
-    assert bench.krc.go_on(max_wall_s=5).status == "done"
+    assert bench.krc.go_on(max_wall_s=60).status == "done"
     assert bench.data("n") == 2
 
 
@@ -506,7 +506,7 @@ def test_an_emergency_stop_stands_until_it_is_released_and_start_is_pressed():
     assert bench.krc.axes_deg[0] < 60
     bench.krc._trace = lambda event: None
     bench.krc.release_emergency_stop()
-    assert bench.krc.go_on(max_wall_s=10).status == "done"
+    assert bench.krc.go_on(max_wall_s=60).status == "done"
     assert bench.krc.axes_deg[0] == pytest.approx(60)
     assert bench.data("n") == 3
 
@@ -516,7 +516,7 @@ def test_a_change_of_mode_stops_the_program_which_sees_the_new_mode():
     bench.krc._trace = lambda event: bench.krc.change_mode("T1") if event.line == 4 and not bench.krc.messages else None
     assert bench.run().status == "stopped"
     bench.krc._trace = lambda event: None
-    assert bench.krc.go_on(max_wall_s=5).status == "done"
+    assert bench.krc.go_on(max_wall_s=60).status == "done"
     assert bench.data("n") == 2
     with pytest.raises(ValueError, match="no mode"):
         bench.krc.change_mode("T9")
@@ -563,10 +563,10 @@ def test_the_submit_program_runs_beside_the_selected_one_and_sees_its_data():
         robot=KR3_R540,
         submit="sps",
     )
-    assert krc.run("t", max_wall_s=20).status == "done"
+    assert krc.run("t", max_wall_s=60).status == "done"
     ticks = krc.data("", "ticks")
     assert ticks > 50
-    assert krc.run("t", max_wall_s=20).status == "done"
+    assert krc.run("t", max_wall_s=60).status == "done"
     assert krc.data("", "ticks") > ticks
     krc.cancel_submit()
 
@@ -577,7 +577,7 @@ def test_an_error_in_the_submit_program_ends_it_and_not_the_robot():
         robot=KR3_R540,
         submit="sps",
     )
-    assert krc.run("t", max_wall_s=20).status == "done"
+    assert krc.run("t", max_wall_s=60).status == "done"
     assert krc.messages[0].originator == "SUBMIT"
     assert "may not move" in krc.messages[0].text
 
@@ -598,5 +598,5 @@ def test_at_a_speed_every_step_of_the_way_is_told():
 
 def test_after_a_dialog_is_answered_time_runs_free_again():
     bench = Bench('MsgDialog(n,"go on?","cell",,"YES")\nWAIT SEC 1000', data="INT n", dialog=lambda message: 1)
-    assert bench.run(max_wall_s=10).status == "done"
+    assert bench.run(max_wall_s=60).status == "done"
     assert bench.krc.virtual_time_s > 1000

@@ -17,7 +17,7 @@ def run(body, declarations="", *, more="", data="", files=None, **options):
     }
     krc = SoftwareKrc(sources, robot=KR3_R540, **options)
     assert [str(d) for d in krc.diagnostics] == []
-    return krc.run("t", max_wall_s=20), krc
+    return krc.run("t", max_wall_s=60), krc
 
 
 def value_of(expression, type_name="REAL", declarations="", **options):
@@ -355,7 +355,7 @@ def test_data_lists_may_use_constants_of_others_as_sizes():
 def test_data_keeps_its_value_from_run_to_run_and_locals_do_not():
     result, krc = run("n=n+1\nl=l+1", "INT l", data="INT n=0")
     assert result.message_number == 1422
-    assert krc.run("t", max_wall_s=5).message_number == 1422
+    assert krc.run("t", max_wall_s=60).message_number == 1422
     assert krc.data("t", "n") == 2
 
 

@@ -50,7 +50,7 @@ def test_a_file_that_nothing_was_stored_in_stays_as_it_is_but_for_the_form_of_nu
 
 def test_values_outlast_the_controller_that_stored_them():
     first = controller(DATA)
-    assert first.run("t", max_wall_s=5).status == "done"
+    assert first.run("t", max_wall_s=60).status == "done"
     (kept,) = first.data_files().values()
     assert b"; a place, {here}" in kept
     assert b"a[2]=21 ; the second" in kept
@@ -68,13 +68,13 @@ def test_values_outlast_the_controller_that_stored_them():
     }.items():
         assert second.data("t", name) == value
     assert second.data("t", "g").as_tuple() == (9.5, 2, 3, 0, 0, 0)
-    assert second.run("t", max_wall_s=5).status == "done"
+    assert second.run("t", max_wall_s=60).status == "done"
     assert second.data("t", "n") == 21
 
 
 def test_writing_back_twice_changes_nothing_more():
     first = controller(DATA)
-    first.run("t", max_wall_s=5)
+    first.run("t", max_wall_s=60)
     (once,) = first.data_files().values()
     (twice,) = controller(once).data_files().values()
     assert twice == once
