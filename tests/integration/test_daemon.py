@@ -137,6 +137,14 @@ def test_the_robot_lays_the_pattern_through_the_daemon_and_it_ends_in_order(cell
     assert list((cell.folder / "state" / "bundles").iterdir())
 
 
+def test_the_cell_connects_to_a_robot_that_serves(cell: Cell) -> None:
+    text = cell.config.read_text().replace("[robot.eki]", "[robot.krl]\nrobot_connects = false\n\n[robot.eki]")
+    cell.config.write_text(text.replace("robot_connects = false", 'robot_connects = false\nrobot_ip = "127.0.0.1"'))
+    with daemon(cell.config) as (process, address):
+        assert address == ("127.0.0.1", 54_600)
+        assert stop(process) == 0
+
+
 def test_the_supervisor_hears_ready_signs_of_life_and_the_end(cell: Cell) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as supervisor:
         address = str(cell.folder / "notify")

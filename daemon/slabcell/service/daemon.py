@@ -27,6 +27,7 @@ from slabcell.service.devices import InstanceLock, make_camera, state_directory
 from slabcell.service.notify import notify, watchdog_interval_s
 from slabcell_drivers.camera import Camera, CameraError
 from slabcell_drivers.robot.arm import arm_by_name
+from slabcell_drivers.robot.eki.client import EkiClient
 from slabcell_drivers.robot.eki.link import EkiServer
 
 __all__ = ["run_daemon"]
@@ -40,7 +41,7 @@ _log = structlog.get_logger(__name__)
 
 
 async def run_daemon(path: Path, *, ready: Callable[[tuple[str, int]], None] | None = None) -> None:
-    """Run the cell of a configuration file until SIGTERM or SIGINT; ``ready`` is told where the robot may connect.
+    """Run the cell of a configuration file until SIGTERM or SIGINT; ``ready`` is told where both meet.
 
     Raises ConfigurationError, CalibrationError, RecipeError, TemporaryError (a second instance) or UnavailableError
     (the address is taken) before anything runs.
@@ -56,12 +57,10 @@ async def run_daemon(path: Path, *, ready: Callable[[tuple[str, int]], None] | N
     try:
         folder = state_directory(config.state_directory)
         with InstanceLock(folder):
-            async with _cell(config, folder) as (cell, ledger), _link(config, cell) as link:
-                _log.info(
-                    "ready", cell=config.name, recipe=cell.recipe.name, robot=f"{link.address[0]}:{link.address[1]}"
-                )
+            async with _cell(config, folder) as (cell, ledger), _link(config, cell) as address:
+                _log.info("ready", cell=config.name, recipe=cell.recipe.name, robot=f"{address[0]}:{address[1]}")
                 if ready is not None:
-                    ready(link.address)
+                    ready(address)
                 notify(f"READY=1\nSTATUS=recipe {cell.recipe.name}, waiting for the robot")
                 async with _watched(ledger):
                     await stopping.wait()
@@ -127,18 +126,20 @@ async def _open(camera: Camera) -> None:
 
 
 @contextlib.asynccontextmanager
-async def _link(config: CellConfig, cell: Cell) -> AsyncGenerator[EkiServer]:
-    link = EkiServer(config.robot.eki.host, config.robot.eki.port)
+async def _link(config: CellConfig, cell: Cell) -> AsyncGenerator[tuple[str, int]]:
+    """Serve the robot; gives the address at which both meet."""
+    krl, eki = config.robot.krl, config.robot.eki
+    link = EkiServer(eki.host, eki.port) if krl.robot_connects else EkiClient(krl.robot_ip, krl.robot_port)
     try:
         await link.start(cell.handle)
     except OSError as error:
         msg = (
-            f"[robot.eki] {config.robot.eki.host}:{config.robot.eki.port} cannot be listened on: {error.strerror};"
+            f"[robot.eki] {eki.host}:{eki.port} cannot be listened on: {error.strerror};"
             " is the address this PC's own, and the port free?"
         )
         raise UnavailableError(msg) from error
     try:
-        yield link
+        yield link.address if isinstance(link, EkiServer) else (krl.robot_ip, krl.robot_port)
     finally:
         async with asyncio.timeout(STOP_TIMEOUT_S):
             await link.stop()
