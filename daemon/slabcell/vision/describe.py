@@ -14,7 +14,7 @@ from slabcell.vision.blobs import RawBlob
 from slabcell.vision.outline import Rings
 from slabcell.vision.plane import PlaneView
 
-__all__ = ["SAMPLES", "Shapes", "describe_blobs", "describe_polygons"]
+__all__ = ["MIN_WALL_PX", "SAMPLES", "Shapes", "describe_blobs", "describe_polygons"]
 
 SAMPLES = 128
 # Samples of an outline from which the visible walls are taken away; finer, because corners shall stay.
@@ -73,12 +73,12 @@ def describe_blobs(blobs: Sequence[RawBlob], plane: PlaneView, *, without_walls:
     return describe_rings(_without_walls(rings, plane) if without_walls else rings)
 
 
-def has_visible_walls(plane: PlaneView) -> bool:
-    """Return whether the walls of slabs can be seen anywhere in the picture, wide enough to matter."""
+def widest_wall_px(plane: PlaneView) -> float:
+    """Return how wide the walls of slabs are seen at most, anywhere in the picture."""
     camera = plane.calibration.camera
     corners = np.array([[0, 0], [camera.width, 0], [0, camera.height], [camera.width, camera.height]], float)
     shift = plane.foot_shift(plane.from_pixels(corners))
-    return bool(np.max(np.hypot(shift[:, 0], shift[:, 1])) > MIN_WALL_PX * plane.mm_per_px)
+    return float(np.max(np.hypot(shift[:, 0], shift[:, 1]))) / plane.mm_per_px
 
 
 def _without_walls(rings: Rings, plane: PlaneView) -> Rings:

@@ -28,7 +28,7 @@ __all__ = ["UnusableImageError", "blur_gate", "light_gates", "reference_gates", 
 NUMBER: Final = 1501
 SUBSAMPLE = 4
 # The sharpest edges that tell the blur.
-STEEPEST = 64
+STEEPEST = 16
 # Corners of the polygon that stands for a round mark.
 CIRCLE_CORNERS = 48
 # How far from its place rim or mark is looked for.
@@ -58,7 +58,8 @@ def light_gates(grey: Grey, parameters: GateParameters) -> tuple[GateReading, ..
     # The lightest half percent.
     rank = 255 - int(np.count_nonzero(np.cumsum(counts[::-1]) <= sample.size // 200))
     brightest = 100.0 * max(rank, 0) / 255.0
-    saturated = 100.0 * float(np.count_nonzero(sample >= full)) / sample.size
+    whitest = float(counts[-1]) if grey.dtype == np.uint8 else float(np.count_nonzero(sample == grey.dtype.type(full)))
+    saturated = 100.0 * whitest / sample.size
     return (
         GateReading(
             "brightness",
@@ -86,10 +87,11 @@ def blur_gate(picture: npt.NDArray[np.uint8], contrast: float, parameters: GateP
 
     A step of this contrast, blurred by a Gaussian of width s, is nowhere steeper than contrast/(s·√(2π)).
     """
-    rows = picture[::SUBSAMPLE]
-    if contrast <= 0.0 or rows.shape[1] < 3:
+    if contrast <= 0.0 or min(picture.shape) < 3:
         return ()
+    rows, columns = picture[:: 2 * SUBSAMPLE], np.ascontiguousarray(picture[:, :: 2 * SUBSAMPLE])
     counts = histogram_of(np.asarray(cv2.absdiff(rows[:, 2:], rows[:, :-2]), np.uint8))
+    counts += histogram_of(np.asarray(cv2.absdiff(columns[2:], columns[:-2]), np.uint8))
     # The median of the steepest; a step is taken over two pixels.
     median = 255 - int(np.count_nonzero(np.cumsum(counts[::-1]) <= STEEPEST // 2))
     steepest = 0.5 * max(median, 0)

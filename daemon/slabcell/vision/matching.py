@@ -28,6 +28,9 @@ MAX_ROTATIONS = 4
 INERTIA_TOLERANCE = 0.12
 # Candidates of one pair whose rotations differ by less than this are one.
 SAME_ROTATION_DEG = 8.0
+# Harmonics of the outlines, on either side, that are compared first, and what that may miss of the energy.
+HARMONICS = 12
+SLACK = 3e-3
 # Pairs that are correlated at once, which bounds the memory.
 BATCH = 512
 
@@ -102,13 +105,19 @@ def _correlate(
     limit_mm: npt.NDArray[np.float64],
 ) -> list[Candidate]:
     blob, slot = pairs.T
+    # The coarse shape first, which tells most pairs apart: what the low harmonics differ by, the whole differs by too.
+    low = np.r_[0:HARMONICS, SAMPLES - HARMONICS : SAMPLES]
+    first, second = blob_spectra[:, low], slot_spectra[:, low]
+    energy = np.sum(_square(first), axis=1)[blob] + np.sum(_square(second), axis=1)[slot]
+    coarse = np.zeros((len(pairs), 8 * HARMONICS), np.complex128)
+    product = first[blob] * second[slot]
+    coarse[:, :HARMONICS], coarse[:, -HARMONICS:] = product[:, :HARMONICS], product[:, HARMONICS:]
+    strongest = np.sqrt(_square(np.fft.ifft(coarse, axis=1, norm="forward")).max(axis=1))
+    # Between two starting points tried, the correlation is higher by a share of the energy at most.
+    hopeful = (energy - 2.0 * strongest) / SAMPLES**2 <= limit_mm[slot] ** 2 + SLACK * energy / SAMPLES**2
+    blob, slot = blob[hopeful], slot[hopeful]
     product = blob_spectra[blob] * slot_spectra[slot]
-    energy = np.mean(np.abs(blobs.samples[blob]) ** 2, axis=1) + np.mean(np.abs(slots.samples[slot]) ** 2, axis=1)
-    # Without interpolation first, which tells most pairs apart: half a sample along the outline is allowed for.
-    strongest = np.abs(np.fft.ifft(product, axis=1)).max(axis=1) / SAMPLES
-    spacing = np.abs(slots.samples[:, 1] - slots.samples[:, 0])
-    hopeful = energy - 2.0 * strongest <= limit_mm[slot] ** 2 + (0.5 * spacing[slot]) ** 2
-    product, energy, blob, slot = product[hopeful], energy[hopeful], blob[hopeful], slot[hopeful]
+    energy = (np.sum(_square(blob_spectra), axis=1)[blob] + np.sum(_square(slot_spectra), axis=1)[slot]) / SAMPLES**2
     padded = np.zeros((len(product), FINE), np.complex128)
     padded[:, : SAMPLES // 2] = product[:, : SAMPLES // 2]
     padded[:, -SAMPLES // 2 :] = product[:, SAMPLES // 2 :]
@@ -135,6 +144,10 @@ def _correlate(
         motion = RigidTransform2D(float(np.rad2deg(np.angle(turn))), float(moved.real), float(moved.imag))
         found.append(Candidate(int(blob[row]), int(slot[row]), motion, float(distance[row, begin])))
     return found
+
+
+def _square(values: npt.NDArray[np.complex128]) -> npt.NDArray[np.float64]:
+    return values.real**2 + values.imag**2
 
 
 def assign(cost: npt.NDArray[np.float64]) -> list[tuple[int, int]]:

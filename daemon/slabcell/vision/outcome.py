@@ -18,8 +18,10 @@ from slabcell.vision.result import ImagePose, LocatedPart, RejectedBlob, Rejecti
 __all__ = ["Outcome"]
 
 # What the whole-outline registration may be off before the edges are measured: in pixels, and in parts of the size.
-COARSE_PX = 3.0
-COARSE_SHARE = 0.03
+COARSE_PX = 1.5
+COARSE_SHARE = 0.01
+# ... and of the width of the walls that are seen, which are taken off only roughly.
+WALL_SHARE = 0.35
 
 
 class Outcome:
@@ -46,7 +48,9 @@ class Outcome:
             self._shapes,
             prepared.shapes,
             area_tolerance=tolerance,
-            limit_mm=COARSE_PX * scale + COARSE_SHARE * size + prepared.recipe.matching.max_residual_mm,
+            limit_mm=(COARSE_PX + WALL_SHARE * prepared.widest_wall_px) * scale
+            + COARSE_SHARE * size
+            + prepared.recipe.matching.max_residual_mm,
             margin_mm=0.5 * scale,
             symmetry_order=prepared.orders,
             allowed=None if self._distance is None else np.isfinite(self._distance),

@@ -6,7 +6,7 @@ from functools import cached_property
 from slabcell.calibration.model import Calibration
 from slabcell.geometry import Polygon
 from slabcell.recipe import Recipe
-from slabcell.vision.describe import Shapes, describe_slots, has_visible_walls
+from slabcell.vision.describe import MIN_WALL_PX, Shapes, describe_slots, widest_wall_px
 from slabcell.vision.edges import EdgePieces, cut_edges
 from slabcell.vision.grasp import Grasp, choose_grasp
 from slabcell.vision.plane import PlaneView
@@ -64,6 +64,11 @@ class Prepared:
         return tuple(choose_grasp(slot, self.recipe.grasp, number) for number, slot in enumerate(self.slots))
 
     @cached_property
+    def widest_wall_px(self) -> float:
+        """Width in the picture of the widest wall that can be seen."""
+        return widest_wall_px(self.plane)
+
+    @property
     def walls(self) -> bool:
-        """Whether the slabs' walls are seen."""
-        return has_visible_walls(self.plane)
+        """Whether the slabs' walls are seen, wide enough to matter."""
+        return self.widest_wall_px > MIN_WALL_PX
