@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from slabcell.calibration.model import Calibration, CameraIdentity, Lens, TablePlane
+from slabcell.catalogue import Fault, entry
 from slabcell.cell.cell import Cell
 from slabcell.cell.ledger import Ledger
 from slabcell.cell.records import OfferState, PlacementRecord
@@ -42,7 +43,7 @@ OUT_VACUUM, IN_VACUUM = 1, 1
 MAX_WALL_S = 30.0
 MAX_STARTS = 12
 COMPLETE = "Job complete: every slot is filled"
-ENDINGS = (COMPLETE, "Nothing on the table fits the slots that are still free")
+ENDINGS = (COMPLETE, entry(Fault.NOTHING_FOUND).robot, entry(Fault.NO_MATCH).robot)
 
 
 def square(x: float, y: float) -> Polygon:
