@@ -122,3 +122,16 @@ def test_poses_are_written_as_a_table(case: Path):
     assert [row["slot"] for row in rows] == ["0", "1"]
     assert float(rows[0]["pick_a_deg"]) == pytest.approx(0.0, abs=0.2)
     assert float(rows[1]["pick_a_deg"]) == pytest.approx(90.0, abs=0.2)
+
+
+def test_many_pictures_are_done_by_several_processes_in_order_and_summed_up(case: Path):
+    folder = case / "many"
+    folder.mkdir()
+    for index in range(8):
+        (folder / f"{index}.png").write_bytes((case / "a.png").read_bytes())
+    (folder / "9.png").write_bytes(b"no picture")
+    output = run(case, str(folder), "--overlay", str(case / "drawn"), code=1)
+    assert "9 pictures: 16 slabs located, 0 blobs refused, 1 pictures unusable" in " ".join(output.split())
+    assert len(list((case / "drawn").glob("*.overlay.png"))) == 8
+    lines = [json.loads(line) for line in run(case, str(folder), "--json", code=1).splitlines() if line.startswith("{")]
+    assert [Path(line["image"]).name for line in lines] == [f"{index}.png" for index in range(8)]

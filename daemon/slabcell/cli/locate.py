@@ -7,8 +7,12 @@ not be used (1 for a file that is no complete picture, 78 for one of another cam
 import csv
 import io
 import json
-from collections.abc import Sequence
+import multiprocessing
+import os
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,6 +22,7 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from slabcell.calibration import load_calibration
@@ -31,19 +36,39 @@ from slabcell.vision.result import LocateResult
 __all__ = ["locate_command"]
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+# From so many pictures on, starting processes costs less than it saves.
+PARALLEL_FROM = 8
 CSV_HEAD = (
     "image,slot,pick_x_mm,pick_y_mm,pick_a_deg,place_x_mm,place_y_mm,place_a_deg,thickness_mm,score,"
     "sigma_x_mm,sigma_y_mm,sigma_a_deg"
 )
 
 
+@dataclass(frozen=True)
+class _Job:
+    """What every picture is located with, and where its overlay goes."""
+
+    calibration: Path
+    recipe: Path
+    overlay: Path | None
+    overlay_is_file: bool
+
+    @cached_property
+    def locator(self) -> Locator:
+        """Calibration and recipe, read once in each process."""
+        locator = Locator(load_calibration(self.calibration), load_recipe(self.recipe))
+        locator.calibration.require_plane()
+        return locator
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Located:
-    """A picture's file, pixels and result."""
+    """A picture's file, and its result or why there is none."""
 
     path: Path
-    image: npt.NDArray[Any]
-    result: LocateResult
+    result: LocateResult | None
+    problem: str = ""
+    exit_code: int = 0
 
 
 def locate_command(
@@ -73,36 +98,61 @@ def locate_command(
 ) -> None:
     """Find the slabs on image files, and the slot of each."""
     paths = _expand(images)
-    if overlay is not None and len(paths) > 1 and overlay.suffix.lower() in SUFFIXES:
+    single = len(paths) == 1 and overlay is not None and overlay.suffix.lower() in SUFFIXES
+    if overlay is not None and not single and overlay.suffix.lower() in SUFFIXES:
         msg = f"--overlay {overlay} is one file, but there are {len(paths)} pictures: name a directory"
         raise UsageError(msg)
-    locator = Locator(load_calibration(calibration), load_recipe(recipe))
-    locator.calibration.require_plane()
+    job = _Job(calibration, recipe, overlay, single)
+    thickness_mm = job.locator.recipe.thickness_mm
     console = Console()
     rows: list[tuple[object, ...]] = []
-    failures: list[SlabcellError] = []
-    for path in paths:
-        try:
-            located = _locate(path, locator)
-        except (ImageError, CalibrationError) as error:
-            failures.append(error)
-            typer.echo(f"slabcell: error: {error}", err=True)
+    results: list[_Located] = []
+    for located in _run(job, paths):
+        results.append(located)
+        if located.result is None:
+            typer.echo(f"slabcell: error: {located.problem}", err=True)
             continue
         if as_json:
-            document = located.result.to_document(str(path))
+            document = located.result.to_document(str(located.path))
             typer.echo(json.dumps(document, indent=None if len(paths) > 1 else 1, ensure_ascii=False))
         else:
-            _print(console, located)
-        rows += _pose_rows(located, locator)
-        if overlay is not None:
-            _write_overlay(overlay, located, single=len(paths) == 1)
+            _print(console, located.path, located.result)
+        rows += _pose_rows(located.path, located.result, thickness_mm)
     if poses_csv is not None:
         text = io.StringIO()
         text.write(CSV_HEAD + "\n")
         csv.writer(text, lineterminator="\n").writerows(rows)
         _write(poses_csv, text.getvalue().encode("utf-8"))
-    if failures:
-        raise typer.Exit(failures[0].exit_code)
+    if len(paths) > 1 and not as_json:
+        _print_summary(console, results)
+    codes = [located.exit_code for located in results if located.exit_code]
+    if codes:
+        raise typer.Exit(codes[0])
+
+
+def _run(job: _Job, paths: list[Path]) -> Iterator[_Located]:
+    """Yield the results in the order of the pictures; many pictures are done on all cores, with a progress bar."""
+    cores = os.cpu_count() or 1
+    if len(paths) < PARALLEL_FROM or cores == 1:
+        yield from (_locate(job, path) for path in paths)
+        return
+    # Spawned, not forked: OpenCV's threads do not survive a fork.
+    context = multiprocessing.get_context("spawn")
+    bar = Progress(
+        TextColumn("locating"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )
+    with ProcessPoolExecutor(min(cores, len(paths)), context, _begin_worker) as pool, bar:
+        yield from bar.track(pool.map(partial(_locate, job), paths), total=len(paths))
+
+
+def _begin_worker() -> None:
+    """Leave the other cores to the other processes."""
+    cv2.setNumThreads(1)
 
 
 def _expand(images: Sequence[Path]) -> list[Path]:
@@ -120,18 +170,33 @@ def _expand(images: Sequence[Path]) -> list[Path]:
     return paths
 
 
-def _locate(path: Path, locator: Locator) -> _Located:
-    image = read_image(path)
-    locator.calibration.require_size(image.shape[1], image.shape[0], str(path))
+def _locate(job: _Job, path: Path) -> _Located:
     try:
-        return _Located(path, image, locator.locate(image))
-    except ImageError as error:
-        msg = f"{path}: {error}"
-        raise ImageError(msg, number=error.number) from error
+        image = read_image(path)
+        job.locator.calibration.require_size(image.shape[1], image.shape[0], str(path))
+        result = job.locator.locate(image)
+    except (ImageError, CalibrationError) as error:
+        text = str(error)
+        return _Located(path, None, text if str(path) in text else f"{path}: {text}", error.exit_code)
+    if job.overlay is not None:
+        target = job.overlay if job.overlay_is_file else job.overlay / f"{path.stem}.overlay.png"
+        _write_overlay(target, image, result)
+    return _Located(path, result)
 
 
-def _print(console: Console, located: _Located) -> None:
-    result = located.result
+def _print_summary(console: Console, results: Sequence[_Located]) -> None:
+    usable = [item.result for item in results if item.result is not None]
+    parts = sum(len(result.parts) for result in usable)
+    refused = sum(len(result.rejected) for result in usable)
+    times = sorted(result.timing_ms.get("total", 0.0) for result in usable)
+    middle = f", median {times[len(times) // 2]:.1f} ms a picture" if times else ""
+    unusable = len(results) - len(usable)
+    console.print(
+        f"{len(results)} pictures: {parts} slabs located, {refused} blobs refused, {unusable} pictures unusable{middle}"
+    )
+
+
+def _print(console: Console, path: Path, result: LocateResult) -> None:
     table = Table(
         "Slot",
         "Score",
@@ -139,7 +204,7 @@ def _print(console: Console, located: _Located) -> None:
         "Pick x, y mm, a °",
         "Place x, y mm",
         "± mm, °",
-        title=f"{escape(str(located.path))}: {len(result.parts)} located, {len(result.rejected)} refused,"
+        title=f"{escape(str(path))}: {len(result.parts)} located, {len(result.rejected)} refused,"
         f" {len(result.empty_slots)} slots without a slab, {result.timing_ms.get('total', 0.0):.1f} ms",
         title_justify="left",
         box=SIMPLE_HEAD,
@@ -169,26 +234,23 @@ def _print(console: Console, located: _Located) -> None:
         console.print(f"Slots without a slab: {', '.join(str(slot) for slot in result.empty_slots)}")
 
 
-def _pose_rows(located: _Located, locator: Locator) -> list[tuple[object, ...]]:
+def _pose_rows(path: Path, result: LocateResult, thickness_mm: float) -> list[tuple[object, ...]]:
     return [
         (
-            str(located.path),
+            str(path),
             part.slot,
             *(f"{value:.4f}" for value in (part.pick.x_mm, part.pick.y_mm, part.pick.a_deg)),
             *(f"{value:.4f}" for value in (part.place.x_mm, part.place.y_mm, part.place.a_deg)),
-            f"{locator.recipe.thickness_mm:g}",
+            f"{thickness_mm:g}",
             f"{part.score:.4f}",
             *(f"{value:.5f}" for value in (part.sigma.x_mm, part.sigma.y_mm, part.sigma.a_deg)),
         )
-        for part in located.result.parts
+        for part in result.parts
     ]
 
 
-def _write_overlay(target: Path, located: _Located, *, single: bool) -> None:
-    path = target
-    if not single or target.suffix.lower() not in SUFFIXES:
-        path = target / f"{located.path.stem}.overlay.png"
-    done, encoded = cv2.imencode(path.suffix.lower(), draw_overlay(located.image, located.result))
+def _write_overlay(path: Path, image: npt.NDArray[Any], result: LocateResult) -> None:
+    done, encoded = cv2.imencode(path.suffix.lower(), draw_overlay(image, result))
     if not done:
         msg = f"{path}: the overlay cannot be encoded as {path.suffix}"
         raise SlabcellError(msg)
