@@ -321,6 +321,8 @@ class RoutineCompiler(BlockCompiler):
         self.emit(lambda a: interrupts.switch(verb, number(a) if number is not None else None))
 
     def _analog(self, statement: Analog) -> None:
-        if statement.verb == "OFF" or statement.value is None:
-            return
-        self._assign(Assign(statement.place, statement.target, statement.value))
+        """ANIN and ANOUT: a value that follows its expression once every tick, from ON to OFF."""
+        target = self.place(statement.target)
+        function = self._cyclic(statement.value) if statement.verb == "ON" and statement.value is not None else None
+        machine = self.interpreter
+        self.emit_synchronized(lambda a: machine.assign_cyclically(target(a), function, a))

@@ -68,7 +68,8 @@ class TraceEvent:
 class RunResult:
     """How a run ended, where, and with which message.
 
-    ``status`` is done, halted (HALT), stopped (emergency stop, mode), error, cancelled, deadline or power_lost.
+    ``status`` is done, halted (HALT), stopped (emergency stop, mode), error, cancelled, reset, deselected, deadline
+    or power_lost.
     """
 
     status: str
@@ -248,6 +249,14 @@ class SoftwareKrc:
     def cancel(self) -> None:
         """Cancel the program before its next statement; from any thread."""
         self._kernel.end("cancelled", RunMessage.CANCELLED, "the program was cancelled")
+
+    def reset(self) -> None:
+        """Reset the program: it ends before its next statement and can be run again from its start."""
+        self._kernel.end("reset", RunMessage.CANCELLED, "the program was reset")
+
+    def deselect(self) -> None:
+        """Deselect the program: it ends before its next statement."""
+        self._kernel.end("deselected", RunMessage.CANCELLED, "the program was deselected")
 
     def emergency_stop(self) -> None:
         """Press the emergency stop; from any thread.  `go_on` is Start after it was released and acknowledged."""

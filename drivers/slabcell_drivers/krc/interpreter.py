@@ -18,6 +18,8 @@ from slabcell_drivers.krc.values import Value
 __all__ = ["Interpreter"]
 
 MAX_CALL_DEPTH = 200
+_WRONG_VALUES = (TypeError, ValueError, ArithmeticError, AttributeError, LookupError)
+"""What functions raise that take a value for what it is not: the program's fault, and an error of its statement."""
 LOWEST_PRIORITY = 81  # of triggers that leave the choice to the controller
 
 
@@ -47,6 +49,7 @@ class Interpreter:
         self._codes: dict[int, Code] = {}
         self._routines: list[Routine] = []  # kept alive, so that an id stands for one routine
         self._cycflags: dict[int, tuple[Function, Activation]] = {}
+        self._assignments: dict[int, tuple[Place, Function, Activation]] = {}
         self._proceed: tuple[Activation, list[int]] | None = None
         self._braking = False
         self._stopped_before: tuple[str, int] | None = None
@@ -77,6 +80,7 @@ class Interpreter:
         self.stack.clear()
         self.interrupts.clear()
         self._cycflags.clear()
+        self._assignments.clear()
         self._proceed = None
         self._braking = False
 
@@ -120,6 +124,11 @@ class Interpreter:
                 except KrlError as error:
                     if self._proceed is None or not self._proceeds(top, pc, error):
                         raise
+                    continue
+                except _WRONG_VALUES as wrong:
+                    error = KrlError(RunMessage.TYPE, f"a value of the wrong kind: {wrong}")
+                    if self._proceed is None or not self._proceeds(top, pc, error):
+                        raise error from wrong
                     continue
                 if pause is not None:
                     count -= 1
@@ -206,6 +215,8 @@ class Interpreter:
         """Begin to serve the most important interrupt whose condition has become true."""
         for number, (function, activation) in self._cycflags.items():
             self.host.io.flags.cycflags[number] = function(activation) is True
+        for target, value, activation in self._assignments.values():
+            target.set(value(activation))
         if self.stack and self.interrupts:
             entry = self.interrupts.due(self.served_priority)
             if entry is not None:
@@ -252,6 +263,14 @@ class Interpreter:
         del self.stack[level + 1 :]
         self._braking = False
         self.motion.discard()
+
+    def assign_cyclically(self, target: Place, function: Function | None, activation: Activation) -> None:
+        """Store a value once every tick from now on; None ends it."""
+        if function is None:
+            self._assignments.pop(id(target), None)
+            return
+        self._assignments[id(target)] = (target, function, activation)
+        target.set(function(activation))
 
     def set_cycflag(self, number: Value, function: Function, activation: Activation) -> None:
         """Evaluate a cyclic flag from now on, once every tick."""

@@ -61,6 +61,10 @@ class Machine(Protocol):
         """Leave the interrupt and all routines down to the one that declared it."""
         ...
 
+    def assign_cyclically(self, target: Place, function: Function | None, activation: Activation) -> None:
+        """Store a value once every tick from now on; None ends it."""
+        ...
+
     def set_cycflag(self, number: Value, function: Function, activation: Activation) -> None:
         """Evaluate a cyclic flag from now on, once every tick."""
         ...

@@ -476,6 +476,16 @@ def test_cancel_from_a_statement_executes_no_further_one():
     assert bench.data("n") == 2
 
 
+@pytest.mark.parametrize(("verb", "status"), [("reset", "reset"), ("deselect", "deselected")])
+def test_a_program_that_is_reset_or_deselected_begins_anew(verb, status):
+    bench = Bench("n=n+1\nn=n+10", data="INT n=0", trace_kinds=frozenset({"statement"}))
+    bench.krc._trace = lambda event: getattr(bench.krc, verb)() if event.line == 4 else None
+    assert bench.run().status == status
+    bench.krc._trace = lambda event: None
+    assert bench.run().status == "done"
+    assert bench.data("n") == 12
+
+
 @pytest.mark.parametrize("statement", range(3, 9))
 def test_data_outlasts_a_power_loss_at_any_statement_and_flags_do_not(statement):
     body = "n=n+1\n$FLAG[5]=TRUE\n$OUT[5]=TRUE\nn=n+1\nlocal=7\nn=n+1"
@@ -600,3 +610,18 @@ def test_after_a_dialog_is_answered_time_runs_free_again():
     bench = Bench('MsgDialog(n,"go on?","cell",,"YES")\nWAIT SEC 1000', data="INT n", dialog=lambda message: 1)
     assert bench.run(max_wall_s=60).status == "done"
     assert bench.krc.virtual_time_s > 1000
+
+
+def test_an_analog_output_follows_its_expression_until_it_is_switched_off():
+    body = """ANOUT ON speed=0.01*level-0.1
+WAIT SEC 0.05
+level=50
+WAIT SEC 0.05
+a=$ANOUT[2]
+ANOUT OFF speed
+level=20
+WAIT SEC 0.05
+b=$ANOUT[2]"""
+    bench = done(body, data="SIGNAL speed $ANOUT[2]\nREAL level=30.0\nREAL a,b")
+    assert bench.data("a") == pytest.approx(0.4)
+    assert bench.data("b") == pytest.approx(0.4)

@@ -1,8 +1,12 @@
 """What KRL programs compute: values, scopes, calls and the functions of the controller."""
 
+import random
+
 import pytest
 
 from slabcell_drivers.krc.controller import SoftwareKrc
+from slabcell_drivers.krc.kernel import BUILTINS
+from slabcell_drivers.krc.messages import RunMessage
 from slabcell_drivers.robot.arm import KR3_R540
 
 pytestmark = pytest.mark.unit
@@ -444,3 +448,20 @@ def test_types_that_a_project_declares_take_the_place_of_the_built_in_ones():
     _, krc = run("m.AUX=3\nl=#LIGHT", data="CIRC_MODE m\nLOAD l", files=files)
     assert krc.data("t", "m") == {"AUX": 3}
     assert krc.data("t", "l") == "#LIGHT"
+
+
+ODD = ["1", "-1.5", "TRUE", '"x"', '"text"', "#RED", "f", "n", "a[]", "t[]", "u", "{X 1}", "ax"]
+
+
+@pytest.mark.parametrize("name", sorted(BUILTINS))
+def test_a_function_given_anything_returns_or_stops_with_a_message(name):
+    """Whatever a program hands to a function of the controller, Python's own errors do not come through."""
+    builtin = BUILTINS[name]
+    chance = random.Random(name)
+    declarations = "INT n\nREAL u\nFRAME f\nINT a[3]\nCHAR t[9]\nE6AXIS ax\n"
+    for _ in range(6):
+        count = chance.randint(builtin.least, min(builtin.most, builtin.least + 3))
+        call = f"{name}({','.join(chance.choice([*ODD, '']) for _ in range(count))})"
+        result, _ = run(f"n=1\nf=$NULLFRAME\n{call}", declarations, dialog=lambda message: 1)
+        assert result.status in {"done", "error"}, (call, result)
+        assert result.status == "done" or result.message_number in {*RunMessage, *range(90001, 90010)}, (call, result)
