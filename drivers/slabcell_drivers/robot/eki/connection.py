@@ -50,7 +50,7 @@ class EndReason(StrEnum):
 
     PEER_CLOSED = "the robot closed the connection"
     BROKEN = "the connection broke"
-    SILENT = "the robot's heartbeat stopped"
+    SILENT = "the robot no longer answers"
     NOT_READING = "the robot does not read its answers"
     GARBAGE = "too many bytes that are no telegrams"
     FLOODED = "more requests than a lock-step robot sends"
