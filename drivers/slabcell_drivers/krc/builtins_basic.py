@@ -181,6 +181,18 @@ def _zero(_: Host) -> int:
     return 0
 
 
+def _one(_: Host, *__: Value) -> int:
+    return 1
+
+
+def _yes(_: Host, *__: Value) -> bool:
+    return True
+
+
+def _no(_: Host, *__: Value) -> bool:
+    return False
+
+
 BASIC_BUILTINS: dict[str, Builtin] = {
     "ABS": Builtin(_magnitude, 1, 1),
     "SQRT": Builtin(_root, 1, 1, result="REAL"),
@@ -209,4 +221,11 @@ BASIC_BUILTINS: dict[str, Builtin] = {
     "TIMER_LIMIT": Builtin(_timer_limit, 1, 1, result="REAL"),
     "FRAND": Builtin(_random, 2, 2, result="REAL"),
     "SYNC": Builtin(_zero, 0, 0, result="INT"),
+    # of the controller's surroundings: no message waits, no key is pressed, every work space is free
+    "MBX_REC": Builtin(_one, 2, 2, frozenset({1}), result="INT"),
+    "IS_KEY_PRESSED": Builtin(_no, 1, 1, result="BOOL"),
+    "ISMESSAGESET": Builtin(_no, 1, 1, result="BOOL"),
+    "WSPACEGIVE": Builtin(_yes, 1, 1, result="BOOL"),
+    "WSPACETAKE": Builtin(_yes, 1, 2, result="BOOL"),
+    "DELETE_BACKWARD_BUFFER": Builtin(_zero, 0, 0),
 }

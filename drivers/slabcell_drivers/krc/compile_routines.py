@@ -64,6 +64,7 @@ class RoutineCompiler(BlockCompiler):
         self._gotos: list[tuple[int, str, int]] = []
         self._actions: list[tuple[list[int], Statement, int]] = []
         self._proceeds: list[list[int]] = []
+        self._continue_next = False
 
     def _cyclic(self, node: Expr) -> Function:
         """Return a condition that is evaluated again and again: it may call no function written in KRL."""
@@ -138,16 +139,20 @@ class RoutineCompiler(BlockCompiler):
         self.line = statement.place.line
         start = self.position
         proceeds, self._proceeds = self._proceeds, []
-        continues = self.continues
+        # CONTINUE and ON_ERROR_PROCEED are for the line behind them, not for what stands in its block
+        outer = self.continues
+        self.continues, self._continue_next = self._continue_next, False
         self.traits.clear()
         try:
             self._compile(statement)
         except KrlError as error:
             self.emit(failing(error.number, error.text))
-        if continues:
-            self.continues = False
+        self.continues = outer
+        line_end = start
+        while line_end < self.position and self.code.lines[line_end] == statement.place.line:
+            line_end += 1
         for span in proceeds:
-            span[:] = [start, self.position]
+            span[:] = [start, line_end, self.position]
 
     def _compile(self, statement: Statement) -> None:
         match statement:
@@ -266,13 +271,13 @@ class RoutineCompiler(BlockCompiler):
             case "HALT":
                 self.emit_synchronized(interpreter.host.halt, always=True)
             case "CONTINUE":
-                self.continues = True
+                self._continue_next = True
             case "RESUME":
                 self.emit(lambda _: interpreter.resume())
             case "BRAKE" | "BRAKE F":
                 self.emit(lambda _: interpreter.brake(fast=word.endswith("F")))
             case _:
-                span = [0, 0]
+                span = [0, 0, 0]  # first and last operation of the line, and where to go on
                 self.emit(lambda a: interpreter.proceed_on_error(a, span))
                 self._proceeds = [span]
 

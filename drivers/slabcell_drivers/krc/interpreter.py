@@ -164,13 +164,13 @@ class Interpreter:
 
     def _proceeds(self, top: Activation, pc: int, error: KrlError) -> bool:
         assert self._proceed is not None  # noqa: S101  # the caller looked
-        activation, (start, end) = self._proceed
+        activation, (start, line_end, end) = self._proceed
         if activation not in self.stack:
             return False
         depth = self.stack.index(activation)
         # in a routine that the statement called, the caller stands behind its call operation
         position = pc if activation is top else activation.pc - 1
-        if not start <= position < end:
+        if not start <= position < line_end:
             return False
         self.host.set_error(error, *self.place, top.code.name)
         del self.stack[depth + 1 :]

@@ -625,3 +625,17 @@ b=$ANOUT[2]"""
     bench = done(body, data="SIGNAL speed $ANOUT[2]\nREAL level=30.0\nREAL a,b")
     assert bench.data("a") == pytest.approx(0.4)
     assert bench.data("b") == pytest.approx(0.4)
+
+
+def test_continue_is_for_the_condition_behind_it_and_not_for_the_block():
+    body = f"{START}PTP {AWAY}\nCONTINUE\nIF NOT $IN[9] THEN\nn=$ROB_TIMER\n$OUT[2]=TRUE\nENDIF"
+    bench = done(body, data="INT n")
+    assert bench.data("n") < 290
+    assert bench.times("$OUT[2]=TRUE")[0] >= 0.5
+
+
+def test_on_error_proceed_is_for_the_condition_behind_it_and_not_for_the_block():
+    body = "ON_ERROR_PROCEED\nIF n==0 THEN\nn=u\nENDIF"
+    assert Bench(body, "INT u", data="INT n=0").run().message_number == 1422
+    skipped = done("ON_ERROR_PROCEED\nIF u==0 THEN\nn=5\nENDIF\nm=$ERR.NUMBER", "INT u", data="INT n=0,m")
+    assert (skipped.data("n"), skipped.data("m")) == (0, 1422)
