@@ -60,7 +60,7 @@ def _failure(request: Request, text: str) -> Answer:
 
 
 def notice_dead_peer(sock: socket.socket) -> None:
-    """Have the kernel notice a dead peer within two seconds: a probe after one second of silence, one to answer it."""
+    """Have the kernel notice a dead peer in two seconds: a probe after one second of silence, one to answer it."""
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 1)

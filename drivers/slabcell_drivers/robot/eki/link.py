@@ -5,7 +5,7 @@ loss it is the robot that comes back.  One robot at a time.  Who comes second?  
 robot itself, which has noticed a loss that we have not: it replaces the old connection.  A newcomer from another
 address replaces it only if the old one has been silent for ``dead_after_s``; otherwise it is turned away.
 
-A dead peer is noticed by TCP keep-alive (a pulled cable: within two seconds, with no help from the program) and, once
+A dead peer is noticed by TCP keep-alive (a pulled cable: in two seconds, with no help from the program) and, once
 a robot has sent a heartbeat on its connection, by the heartbeat's absence.
 """
 
