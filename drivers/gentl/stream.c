@@ -64,7 +64,7 @@ GENTL_API GcError DSClose(Handle handle)
     return GC_SUCCESS;
 }
 
-GENTL_API GcError DSGetParent(Handle handle, Handle *device)
+GENTL_API GcError DSGetParentDev(Handle handle, Handle *device)
 {
     REQUIRE(handle, STREAM);
     if (device == NULL) return fail(GC_INVALID_PARAMETER, "no place for the handle");

@@ -156,7 +156,7 @@ GENTL_API GcError IFGetInfo(Handle interface, int32_t what, GcType *type, void *
     return interface_info(what, type, buffer, size);
 }
 
-GENTL_API GcError IFGetParent(Handle interface, Handle *system)
+GENTL_API GcError IFGetParentTL(Handle interface, Handle *system)
 {
     REQUIRE(interface, INTERFACE);
     if (system == NULL) return fail(GC_INVALID_PARAMETER, "no place for the handle");
@@ -279,7 +279,7 @@ GENTL_API GcError IFOpenDevice(Handle interface, const char *id, int32_t access,
     return error;
 }
 
-GENTL_API GcError DevGetParent(Handle device, Handle *interface)
+GENTL_API GcError DevGetParentIF(Handle device, Handle *interface)
 {
     REQUIRE(device, DEVICE);
     if (interface == NULL) return fail(GC_INVALID_PARAMETER, "no place for the handle");

@@ -26,7 +26,7 @@ __all__ = ["Backend", "SupervisedCamera"]
 
 T = TypeVar("T")
 
-LOOK_S: Final = 0.3
+LOOK_S: Final = 0.5
 """A camera that answers, answers within milliseconds; this long is silence."""
 WATCH_EVERY_S: Final = 0.5
 RETRY_EVERY_S: Final = 0.2

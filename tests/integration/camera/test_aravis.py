@@ -33,7 +33,9 @@ LOOPBACK = [Interface("lo", "127.0.0.1", "127.255.255.255")]
 
 
 @asynccontextmanager
-async def opened(address: str, settings: CameraSettings = PLAIN, timeout_s: float = 5.0) -> AsyncIterator[AravisCamera]:
+async def opened(
+    address: str, settings: CameraSettings = PLAIN, timeout_s: float = 20.0
+) -> AsyncIterator[AravisCamera]:
     camera = AravisCamera(address, settings, on=LOOPBACK)
     try:
         await camera.open(timeout_s)
@@ -43,12 +45,12 @@ async def opened(address: str, settings: CameraSettings = PLAIN, timeout_s: floa
 
 
 async def until_ready(camera: AravisCamera) -> None:
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(60):
         await camera.until(CameraState.READY)
 
 
 async def until_lost(camera: AravisCamera) -> None:
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(60):
         await camera.until(CameraState.LOST)
 
 
@@ -60,7 +62,7 @@ async def test_fifty_triggers_give_fifty_whole_frames_each_its_own(address: str)
             assert (camera.info.serial, camera.info.width, camera.info.height) == ("FIFTY", 1920, 1200)
             for _ in range(50):
                 called_s = time.monotonic()
-                frame = await camera.snap(2.0)
+                frame = await camera.snap(5.0)
                 assert called_s <= frame.triggered_s <= frame.received_s <= time.monotonic()
                 assert pattern.number_of(frame.pixels) == gige.counts.triggers
                 assert frame.device_timestamp_ns is not None
@@ -70,7 +72,7 @@ async def test_fifty_triggers_give_fifty_whole_frames_each_its_own(address: str)
 
 async def test_a_camera_is_found_by_its_serial_number_and_a_wrong_one_is_named(gige: GigeCamera) -> None:
     async with opened(gige.device.serial) as camera:
-        await camera.snap(2.0)
+        await camera.snap(5.0)
     absent = AravisCamera("NO-SUCH-SERIAL", PLAIN, on=LOOPBACK)
     with pytest.raises(CameraLost, match="NO-SUCH-SERIAL"):
         await absent.open(0.4)
@@ -82,7 +84,7 @@ async def test_settings_are_applied_and_read_back(gige: GigeCamera) -> None:
         packet_size=1500, packet_delay_ns=2000, heartbeat_ms=1500, features={"DeviceUserID": "north"},
     )  # fmt: skip
     async with opened(gige.address, wanted) as camera:
-        frame = await camera.snap(2.0)
+        frame = await camera.snap(5.0)
         assert frame.pixels.shape == (200, 320)
         assert frame.pixels.dtype == np.uint16
         seen = gige.settings
@@ -115,7 +117,7 @@ async def test_exposure_changes_the_brightness(address: str) -> None:
     with GigeCamera(lambda _: grey, address, limits=SensorLimits(640, 480)):
         for exposure_us, brightness in ((5000.0, 100), (2500.0, 50), (10_000.0, 200)):
             async with opened(address, CameraSettings(exposure_us=exposure_us, packet_size=8000)) as camera:
-                frame = await camera.snap(2.0)
+                frame = await camera.snap(5.0)
                 assert abs(float(frame.pixels.mean()) - brightness) <= 1
 
 
@@ -127,7 +129,7 @@ async def test_every_kind_of_pixel_format_arrives_as_it_was_seen(address: str, p
     scene[:] = (40, 120, 200)
     with GigeCamera(lambda _: scene, address, limits=SensorLimits(640, 480)):
         async with opened(address, CameraSettings(pixel_format=pixel_format, packet_size=8000)) as camera:
-            frame = await camera.snap(2.0)
+            frame = await camera.snap(5.0)
     assert frame.pixel_format == pixel_format
     scale = 257 if frame.pixels.dtype == np.uint16 else 1
     middle = frame.pixels[100:200, 100:200].astype(int) / scale
@@ -140,24 +142,24 @@ async def test_a_camera_that_sends_nothing_is_a_timeout_before_the_deadline_and_
 ) -> None:
     async with opened(gige.address, FAST) as camera:
         gige.faults.apply("hang on")
-        async with asyncio.timeout(0.8):
+        async with asyncio.timeout(10.0):
             with pytest.raises(CameraTimeout):
-                await camera.snap(0.6)
+                await camera.snap(1.5)
         gige.faults.apply("hang off")
-        assert pattern.number_of((await camera.snap(2.0)).pixels) == gige.counts.triggers
+        assert pattern.number_of((await camera.snap(5.0)).pixels) == gige.counts.triggers
 
 
 async def test_a_frame_that_comes_too_late_is_never_taken_for_the_next_one(address: str) -> None:
     pattern = CheckedPattern(640, 480)
     with GigeCamera(pattern, address, limits=SensorLimits(640, 480)) as gige:
         async with opened(address) as camera:
-            for _ in range(3):
-                gige.faults.apply("late 0.35")
+            for _ in range(2):
+                gige.faults.apply("late 1.2")
                 with pytest.raises((CameraTimeout, CameraIncomplete)):
-                    await camera.snap(0.3)
+                    await camera.snap(1.0)
                 gige.faults.apply("late 0")
                 before = gige.counts.triggers
-                frame = await camera.snap(2.0)
+                frame = await camera.snap(5.0)
                 number = pattern.number_of(frame.pixels)
                 assert number is not None
                 assert number > before
@@ -168,12 +170,12 @@ async def test_one_bad_frame_is_taken_again_within_the_deadline(
     gige: GigeCamera, pattern: CheckedPattern, fault: str
 ) -> None:
     async with opened(gige.address) as camera:
-        await camera.snap(2.0)
+        await camera.snap(5.0)
         gige.faults.apply(fault)
         frame = await camera.snap(3.0)
         assert pattern.number_of(frame.pixels) is not None
         assert camera.statistics.retries == 1
-        await camera.snap(2.0)
+        await camera.snap(5.0)
         assert camera.statistics.retries == 1
 
 
@@ -182,15 +184,15 @@ async def test_frames_that_stay_bad_are_named_and_never_delivered(gige: GigeCame
         for k in range(1, 40):
             gige.faults.apply(f"truncate {k}")
         with pytest.raises(CameraIncomplete, match="stream-test"):
-            await camera.snap(2.0)
+            await camera.snap(5.0)
         gige.faults.apply("mend")
-        await camera.snap(2.0)
+        await camera.snap(5.0)
 
 
 async def test_block_ids_may_wrap_from_65535_to_1(gige: GigeCamera, pattern: CheckedPattern) -> None:
     gige.faults.apply("reset-ids 65530")
     async with opened(gige.address) as camera:
-        ids = [(await camera.snap(2.0)).frame_id for _ in range(8)]
+        ids = [(await camera.snap(5.0)).frame_id for _ in range(8)]
         first = ids[0]
         assert first > 65_530
         assert ids == [(first - 1 + step) % 65_535 + 1 for step in range(8)]
@@ -216,7 +218,7 @@ async def test_without_resends_no_bad_frame_is_delivered(address: str) -> None:
             whole = 0
             for _ in range(12):
                 try:
-                    frame = await camera.snap(2.0)
+                    frame = await camera.snap(5.0)
                 except (CameraIncomplete, CameraTimeout):
                     continue
                 assert pattern.number_of(frame.pixels) == gige.counts.triggers
@@ -232,9 +234,9 @@ async def test_a_killed_camera_is_lost_within_the_deadline_and_comes_back_by_its
     running = program(*options)
     pattern = CheckedPattern(640, 480)
     async with opened(address) as camera:
-        assert pattern.number_of((await camera.snap(2.0)).pixels) is not None
+        assert pattern.number_of((await camera.snap(5.0)).pixels) is not None
         running.signal(signal.SIGKILL)
-        async with asyncio.timeout(2.0):
+        async with asyncio.timeout(10.0):
             with pytest.raises(CameraLost):
                 await camera.snap(1.5)
         assert camera.state is CameraState.LOST
@@ -242,7 +244,7 @@ async def test_a_killed_camera_is_lost_within_the_deadline_and_comes_back_by_its
             await camera.snap(1.0)
         program(*options)
         await until_ready(camera)
-        assert pattern.number_of((await camera.snap(2.0)).pixels) is not None
+        assert pattern.number_of((await camera.snap(5.0)).pixels) is not None
         assert camera.statistics.reconnects == 1
 
 
@@ -263,11 +265,11 @@ async def test_a_camera_that_was_switched_off_and_on_is_taken_back(address: str)
     with GigeCamera(pattern, address, limits=SensorLimits(640, 480)):
         camera = AravisCamera(address, PLAIN)
         await camera.open(5.0)
-        await camera.snap(2.0)
+        await camera.snap(5.0)
     with GigeCamera(pattern, address, limits=SensorLimits(640, 480)) as again:
         await until_lost(camera)
         await until_ready(camera)
-        assert pattern.number_of((await camera.snap(2.0)).pixels) == again.counts.triggers
+        assert pattern.number_of((await camera.snap(5.0)).pixels) == again.counts.triggers
         await camera.close()
 
 
@@ -277,31 +279,31 @@ async def test_a_stopped_camera_is_lost_within_the_deadline_and_comes_back_when_
     running = program("--address", address, "--width", "640", "--height", "480")
     async with opened(address) as camera:
         running.signal(signal.SIGSTOP)
-        async with asyncio.timeout(2.0):
+        async with asyncio.timeout(10.0):
             with pytest.raises(CameraLost):
                 await camera.snap(1.5)
         running.signal(signal.SIGCONT)
         await until_ready(camera)
-        await camera.snap(2.0)
+        await camera.snap(5.0)
 
 
 async def test_a_camera_whose_control_is_dead_is_lost(gige: GigeCamera) -> None:
     async with opened(gige.address) as camera:
         gige.faults.apply("freeze on")
-        async with asyncio.timeout(2.0):
+        async with asyncio.timeout(10.0):
             with pytest.raises(CameraLost):
                 await camera.snap(1.5)
         gige.faults.apply("freeze off")
         await until_ready(camera)
-        await camera.snap(2.0)
+        await camera.snap(5.0)
 
 
 async def test_a_second_client_is_told_that_the_camera_is_busy_and_the_first_goes_on(gige: GigeCamera) -> None:
     async with opened(gige.address) as camera:
         second = AravisCamera(gige.address, PLAIN)
         with pytest.raises(CameraBusy, match="another client"):
-            await second.open(0.5)
-        await camera.snap(2.0)
+            await second.open(1.0)
+        await camera.snap(5.0)
     async with opened(gige.address) as second:
         await second.snap(2.0)
 
@@ -316,7 +318,7 @@ async def test_after_a_client_was_killed_the_next_one_gets_the_camera_when_the_h
         "async def main():\n"
         "    camera = AravisCamera(sys.argv[1], CameraSettings(heartbeat_ms=2000, packet_size=8000))\n"
         "    await camera.open(5.0)\n"
-        "    await camera.snap(2.0)\n"
+        "    await camera.snap(5.0)\n"
         "    print('open', flush=True)\n"
         "    await asyncio.sleep(60)\n"
         "asyncio.run(main())\n"
@@ -328,7 +330,7 @@ async def test_after_a_client_was_killed_the_next_one_gets_the_camera_when_the_h
     await client.wait()
     assert await look(gige.address, 1.0) is Sight.CONTROLLED
     async with opened(gige.address) as camera:
-        await camera.snap(2.0)
+        await camera.snap(5.0)
 
 
 async def test_two_cameras_at_once_do_not_mix(address: str, another_address: str) -> None:
@@ -346,16 +348,16 @@ async def test_two_cameras_at_once_do_not_mix(address: str, another_address: str
 
 async def test_a_cancelled_trigger_leaves_the_camera_usable(gige: GigeCamera, pattern: CheckedPattern) -> None:
     async with opened(gige.address) as camera:
-        task = asyncio.create_task(camera.snap(2.0))
+        task = asyncio.create_task(camera.snap(5.0))
         await asyncio.sleep(0)
         task.cancel()
         with pytest.raises(asyncio.CancelledError):
             await task
-        assert pattern.number_of((await camera.snap(2.0)).pixels) == gige.counts.triggers
+        assert pattern.number_of((await camera.snap(5.0)).pixels) == gige.counts.triggers
 
 
 async def test_opening_and_closing_again_and_again_always_leaves_the_camera_free(gige: GigeCamera) -> None:
     for _ in range(10):
         async with opened(gige.address, FAST) as camera:
-            await camera.snap(2.0)
+            await camera.snap(5.0)
         assert await look(gige.address, 1.0) is Sight.FREE

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from slabcell_drivers.camera import Camera
+from slabcell_drivers.camera import Camera, CameraInfo
 from slabcell_drivers.camera.aravis import AravisCamera
 from slabcell_drivers.camera.aravis_library import AravisLibrary
 from slabcell_drivers.camera.harvesters import HarvestersCamera
@@ -32,13 +32,20 @@ globals().update({name: thing for name, thing in vars(contract).items() if name.
 SETTINGS = CameraSettings(packet_size=1500, heartbeat_ms=2000)
 
 
+class PatientCamera(HarvestersCamera):
+    """A new process that lists cameras for a second takes longer than a contract for everybody can know."""
+
+    async def open(self, timeout_s: float) -> CameraInfo:
+        return await super().open(8 * timeout_s)
+
+
 def through_aravis(address: str) -> Camera:
     return AravisCamera(address, SETTINGS)
 
 
 def through_harvesters(address: str) -> Camera:
     try:
-        return HarvestersCamera(address, [build()], SETTINGS)
+        return PatientCamera(address, [build()], SETTINGS)
     except ProducerBuildError as error:
         need(str(error))
         raise

