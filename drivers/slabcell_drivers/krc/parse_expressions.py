@@ -23,6 +23,8 @@ _GEOMETRIC = 7
 _RANK_OF_WORD = {"OR": 2, "B_OR": 2, "EXOR": 3, "B_EXOR": 3, "AND": 4, "B_AND": 4}
 _RANK_OF_SIGN = {"+": 5, "-": 5, "*": 6, "/": 6}
 _MAX_DEPTH = 48
+_MAX_OPERATORS = 150
+_MAX_PARTS = 60
 
 
 class ExpressionParser(TokenStream):
@@ -33,6 +35,7 @@ class ExpressionParser(TokenStream):
     def expression(self, lowest: int = 1) -> Expr:
         """Return the expression that begins here.  Raises KrlSyntaxError."""
         left = self._unary()
+        operators = 0
         while True:
             token = self.token
             rank = 0
@@ -46,6 +49,9 @@ class ExpressionParser(TokenStream):
                 rank = _GEOMETRIC
             if rank < lowest or not rank:
                 return left
+            operators += 1
+            if operators > _MAX_OPERATORS:
+                raise KrlSyntaxError(token, f"at most {_MAX_OPERATORS} operators of one rank in a row")
             place = self.place
             self.advance()
             left = Binary(place, token.word, left, self.expression(rank + 1))
@@ -82,7 +88,7 @@ class ExpressionParser(TokenStream):
         """Return a primary with its indices, members and arguments."""
         place = self.place
         result = self._primary()
-        while True:
+        for _ in range(_MAX_PARTS):
             if self.at("LSQB"):
                 result = Index(place, result, self.indices())
             elif self.at("DOT"):
@@ -92,6 +98,7 @@ class ExpressionParser(TokenStream):
                 result = Call(place, result.name, self.arguments())
             else:
                 return result
+        raise KrlSyntaxError(self.token, f"at most {_MAX_PARTS} indices and members in a row")
 
     def _primary(self) -> Expr:
         place, token = self.place, self.token

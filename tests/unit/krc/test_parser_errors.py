@@ -4,8 +4,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from slabcell_drivers.krc.controller import SoftwareKrc
 from slabcell_drivers.krc.parser import parse
+from slabcell_drivers.krc.static import check
 from slabcell_drivers.krc.syntax import Assign, Binary, Literal, Name, Unary
+from slabcell_drivers.robot.arm import KR3_R540
 
 pytestmark = pytest.mark.unit
 
@@ -145,3 +148,21 @@ def test_a_program_cut_off_anywhere_never_ends_the_parser():
     text = "DEF x(a:IN)\nINT a\nIF (a==1) THEN\nPTP {A1 5,A2 -3} C_PTP\nELSE\nx[3]=f(a,,b)\nENDIF\nEND\n"
     for position in range(len(text)):
         assert parse(text[:position], "x.src").file == "x.src"
+
+
+@pytest.mark.parametrize(
+    "expression",
+    ["+".join(["1"] * 5000), "a" + ".b" * 5000, "a" + "[1]" * 5000, "-" * 5000 + "1", "{X " * 500 + "1" + "}" * 500],
+)
+def test_an_expression_without_end_is_refused_in_words_and_checked_without_harm(expression):
+    source = f"DEF x()\nr={expression}\nEND\n".encode()
+    assert any("at most" in message for _, _, message in found(source.decode()))
+    assert any(d.code == "syntax" for d in check({"x.src": source}))
+
+
+@pytest.mark.parametrize("expression", ["+".join(["1"] * 150), "a" + ".b" * 59, "(" * 40 + "1" + ")" * 40])
+def test_an_expression_at_the_limit_is_read_checked_and_compiled(expression):
+    source = f"DEF x()\nINT r\nr={expression}\nEND\n".encode()
+    assert found(source.decode()) == []
+    assert all(d.code != "syntax" for d in check({"x.src": source}))
+    assert SoftwareKrc({"x.src": source}, robot=KR3_R540).run("x", max_wall_s=60).status in {"done", "error"}
