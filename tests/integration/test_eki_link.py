@@ -104,7 +104,7 @@ async def test_garbage_is_skipped_and_the_next_request_is_answered():
 
 async def test_a_request_with_a_wrong_value_is_answered_as_a_bad_request():
     async with serving(echo) as link, Robot.connected(link) as robot:
-        robot.send(encode_request(ask(4)).replace(b'Ver="1"', b'Ver="2"'))
+        robot.send(encode_request(ask(4)).replace(b'Ver="1"', b'Ver="2"').replace(b'Ints="13"', b'Ints="14"'))
         answer = await robot.answer()
         assert (answer.acknowledges, answer.code) == (4, ResultCode.BAD_REQUEST)
         assert "version" in answer.message

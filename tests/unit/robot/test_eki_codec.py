@@ -202,6 +202,24 @@ def test_a_digit_that_changes_on_the_way_is_noticed(message, data):
         assert now["offer"][name] == pytest.approx(value, abs=0.011)
 
 
+def test_a_damaged_telegram_is_dropped_and_one_of_another_version_is_answered():
+    raw = encode_request(Request(RequestType.NEXT, 3, 7, tcp=Frame(1.5, 2.5, 3.5)))
+    for damaged in (
+        raw.replace(b'Ver="1"', b'Ver="7"'),
+        raw.replace(b'Ver="1"', b'Ver="x"'),
+        raw.replace(b'Y="2.500"', b'Y="2 500"'),
+        raw.replace(b'Seq="7"', b'Seq="\\"'),
+        raw.replace(b'Type="3"', b'Type="4"'),
+    ):
+        assert damaged != raw
+        with pytest.raises(MalformedTelegramError):
+            decode_request(damaged)
+    other = raw.replace(b'Ver="1"', b'Ver="2"').replace(b'Ints="14"', b'Ints="15"')
+    with pytest.raises(InvalidTelegramError, match="speaks version 1") as caught:
+        decode_request(other)
+    assert (caught.value.session, caught.value.sequence) == (3, 7)
+
+
 def test_values_from_two_telegrams_do_not_pass_for_one():
     one = encode_answer(Answer(5, 1, 7, left=3, offer=Offer(9, 0, 3, Frame(100, 20, 10), Frame(4, 5, 6), 0.5)))
     two = encode_answer(Answer(5, 2, 8, left=2, offer=Offer(10, 1, 4, Frame(180, 90, 10), Frame(7, 5, 6), 0.6)))

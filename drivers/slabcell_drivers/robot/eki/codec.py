@@ -223,12 +223,12 @@ def _text(element: Element, value: Value) -> str:
         case ElementType.INT | ElementType.BOOL:
             number = int(value)
             if abs(number) > MAX_INT:
-                raise InvalidTelegramError(f"{element.path} = {number}: KRL's INT ends at ±{MAX_INT}")
+                raise InvalidTelegramError(f"{element.path} = {number}: KRL's INT ends at +-{MAX_INT}")
             return str(number)
         case ElementType.REAL:
             real = float(value)
             if not math.isfinite(real) or abs(real) > MAX_REAL:
-                raise InvalidTelegramError(f"{element.path} = {real}: not a number between ±{MAX_REAL:g}")
+                raise InvalidTelegramError(f"{element.path} = {real}: not a number between +-{MAX_REAL:g}")
             return f"{real:.3f}" if abs(real) >= 0.0005 else "0.000"  # never "-0.000"
         case ElementType.STRING:
             return str(value).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
@@ -266,15 +266,21 @@ def _read_checked(telegram: Telegram, raw: bytes, *, required: tuple[str, ...]) 
             values[element.path] = _value(element, text.strip())
         except ValueError as error:
             problems.append(str(error))
-    problems += [f"{path} is missing" for path in required if path not in texts]
+    summed = f"{CHECK_NODE}/@Ints" in texts
     session, sequence = _int(values, "Head/@Ses"), _int(values, "Head/@Seq")
     version = values.get("Head/@Ver")
+    if version == PROTOCOL_VERSION:
+        _check_sums(telegram, values)
+    elif summed and not _sums_up(texts):
+        raise MalformedTelegramError(f"{telegram.root} telegram: Head/@Ver = {version}, and the sums do not agree")
+    if problems and summed:
+        # A peer that sums up writes readable numbers: this telegram was damaged on its way.
+        raise MalformedTelegramError(f"{telegram.root} telegram: {problems[0]}")
+    problems += [f"{path} is missing" for path in required if path not in texts]
     if version != PROTOCOL_VERSION:
         problems.insert(
             0, f"Head/@Ver = {version}: this side speaks version {PROTOCOL_VERSION}; install matching programs"
         )
-    else:
-        _check_sums(telegram, values)
     if problems:
         raise InvalidTelegramError(f"{telegram.root} telegram: {problems[0]}", session=session, sequence=sequence)
     return values, session, sequence
@@ -288,6 +294,13 @@ def _check_sums(telegram: Telegram, values: Mapping[str, Value]) -> None:
             )
 
 
+def _sums_up(texts: Mapping[str, str]) -> bool:
+    """Whether a telegram of another version arrived as it was sent; its INTs are what is written like one."""
+    ints = {path: int(text) for path, text in texts.items() if "@" in path and _INT.fullmatch(text.strip())}
+    expected = ints.pop(f"{CHECK_NODE}/@Ints", None)
+    return expected == sum(ints.values())
+
+
 def _value(element: Element, text: str) -> Value:
     shown = f"{element.path} = {text[:MAX_NUMBER_CHARS]!r}"
     if element.type is ElementType.STRING:
@@ -298,12 +311,12 @@ def _value(element: Element, text: str) -> Value:
         raise ValueError(f"{shown}…: no number is that long")
     if element.type is ElementType.REAL:
         if not _REAL.fullmatch(text) or abs(float(text)) > MAX_REAL:
-            raise ValueError(f"{shown}: not a number between ±{MAX_REAL:g}")
+            raise ValueError(f"{shown}: not a number between +-{MAX_REAL:g}")
         return float(text)
     if element.type is ElementType.BOOL and text.lower() in _BOOL:
         return _BOOL[text.lower()]
     if not _INT.fullmatch(text) or abs(int(text)) > MAX_INT:
-        raise ValueError(f"{shown}: not a whole number between ±{MAX_INT}")
+        raise ValueError(f"{shown}: not a whole number between +-{MAX_INT}")
     return int(text)
 
 
