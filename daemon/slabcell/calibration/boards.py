@@ -57,7 +57,7 @@ class Board:
         kind, *fields = text.strip()[: MAX_TEXT + 1].split(":")
         if kind not in ("checkerboard", "charuco", "circles") or len(fields) < 2 or len(text) > MAX_TEXT:
             raise UsageError(f"board {text[:MAX_TEXT]!r} is not one of: {FORMS}")
-        low = 3 if kind != "circles" else 2
+        low = {"checkerboard": 3, "charuco": 4, "circles": 2}[kind]
         columns, rows = (_count(part, text, low) for part in _pair(fields[0], text))
         pitch_mm = _length(fields[1], text, "the square" if kind != "circles" else "the pitch")
         extra = fields[2:]
@@ -91,6 +91,12 @@ class Board:
         known = [name.removeprefix("DICT_") for name in dir(cv2.aruco) if name.startswith("DICT_")]
         if dictionary not in known:
             raise UsageError(f"board {text!r}: unknown dictionary {dictionary!r}; known are {', '.join(sorted(known))}")
+        number = int(getattr(cv2.aruco, f"DICT_{dictionary}"))
+        markers, needed = len(cv2.aruco.getPredefinedDictionary(number).bytesList), columns * rows // 2
+        if needed > markers:
+            raise UsageError(
+                f"board {text!r} has {needed} markers, dictionary {dictionary} only {markers}; which is it?"
+            )
         return cls("charuco", columns, rows, pitch_mm, marker_mm, dictionary, legacy)
 
     @property

@@ -61,6 +61,8 @@ def test_every_second_row_of_circles_is_shifted_by_half_a_step():
         ("charuco:12x9:25", "needs the marker's size"),
         ("charuco:12x9:25:25", "does not fit"),
         ("charuco:12x9:25:18:9X9_1", "unknown dictionary"),
+        ("charuco:40x40:25:18:4X4_50", "has 800 markers, dictionary 4X4_50 only 50"),
+        ("charuco:3x9:25:18", "outside 4 to 200"),
         ("circles:4x11:20:30", "touch each other"),
         ("checkerboard:12x9:25" + "0" * 300, "is not one of"),
     ],

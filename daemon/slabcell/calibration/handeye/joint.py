@@ -24,6 +24,7 @@ __all__ = ["JointEstimate", "estimate_jointly"]
 MAX_ROUNDS = 20
 # What is believed of an industrial robot before it is measured, and how loosely (standard deviation of the logarithm).
 USUAL_MM, USUAL_DEG, LOOSENESS = 0.1, 0.02, 1.5
+LEAST_MM, LEAST_DEG = 1e-4, 1e-5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +53,9 @@ def estimate_jointly(
     each is estimated if it is not given.
     """
     vision = np.asarray(np.linalg.inv(stations.information), np.float64)
-    noise = np.log(np.array([robot_mm or USUAL_MM, np.deg2rad(robot_deg or USUAL_DEG)]))
+    start_mm = USUAL_MM if robot_mm is None else max(robot_mm, LEAST_MM)
+    start_deg = USUAL_DEG if robot_deg is None else max(robot_deg, LEAST_DEG)
+    noise = np.log(np.array([start_mm, np.deg2rad(start_deg)]))
     free = [n for n, given in enumerate((robot_mm, robot_deg)) if given is None]
     covariance = np.eye(12)
     settled = False
