@@ -7,9 +7,8 @@ outputs and the tool do.  It is *not* a safety controller and not a substitute f
 import random
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, Self
+from typing import Self
 
 from slabcell_drivers.krc.cells import Place
 from slabcell_drivers.krc.clock import Clock
@@ -26,6 +25,7 @@ from slabcell_drivers.krc.messages import KrlError, RunMessage
 from slabcell_drivers.krc.motion import Trajectory
 from slabcell_drivers.krc.motion_runner import Move
 from slabcell_drivers.krc.parser import parse
+from slabcell_drivers.krc.run_values import CellIo, RunResult, TraceEvent
 from slabcell_drivers.krc.scope import ModuleScope
 from slabcell_drivers.krc.smartpad import ShownMessage
 from slabcell_drivers.krc.syntax import Assign, DataList, Diagnostic, Routine
@@ -34,51 +34,11 @@ from slabcell_drivers.krc.write_back import written_back
 from slabcell_drivers.robot.arm import ArmModel, Axes
 from slabcell_drivers.robot.frame import Frame
 
-__all__ = ["CellIo", "RunResult", "SoftwareKrc", "TraceEvent", "read_project"]
+__all__ = ["SoftwareKrc"]
 
 _CAN_GO_ON = frozenset({"halted", "stopped"})
 _MODES = ("T1", "T2", "AUT", "EX")
 HOME: Axes = (0.0, -90.0, 90.0, 0.0, 0.0, 0.0)
-
-
-class CellIo(Protocol):
-    """The cell around the robot, as far as it follows outputs and the tool."""
-
-    def output_changed(self, index: int, value: bool, tcp: Frame) -> None:  # noqa: FBT001  # a bit is a value
-        """$OUT[index] has changed; ``tcp`` is the tool centre point in the robot's root."""
-        ...
-
-    def moved(self, tcp: Frame) -> None:
-        """Take note that the tool has moved there: called at the end of every motion at least."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class TraceEvent:
-    """One thing that happened; ``kind`` is statement, motion, io, telegram or message."""
-
-    kind: str
-    time_s: float
-    file: str
-    line: int
-    text: str
-
-
-@dataclass(frozen=True, slots=True)
-class RunResult:
-    """How a run ended, where, and with which message.
-
-    ``status`` is done, halted (HALT), stopped (emergency stop, mode), error, cancelled, reset, deselected, deadline
-    or power_lost.
-    """
-
-    status: str
-    message_number: int
-    message: str
-    file: str
-    line: int
-    virtual_time_s: float
-    statements: int
 
 
 class SoftwareKrc:
