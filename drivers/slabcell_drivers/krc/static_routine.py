@@ -49,6 +49,7 @@ __all__ = ["RoutineChecker"]
 
 _DECLARATIONS = (Declaration, Struct, EnumDecl, Signal, External, Import, Channel)
 _LOGICAL = frozenset({"AND", "OR", "EXOR"})
+_RELATIONS = frozenset({"==", "<>", "<", ">", "<=", ">="})
 PRIORITIES = frozenset({1, 2, *range(4, 40), *range(81, 129), 3})
 """Interrupt priorities that a program may use; 3 is that of the stop message in generated programs."""
 
@@ -279,14 +280,13 @@ class RoutineChecker:
             self._error(condition.place, "condition", f"a condition has to be BOOL; {describe(condition)} is {shown}")
 
     def _check_ranks(self, node: Binary) -> None:
-        """Warn of ``a==5 AND b==6``: comparisons bind weakest in KRL."""
-        if node.operator not in _LOGICAL or node.parenthesized:
+        """Warn of ``a==5 AND b==6``: comparisons bind weakest in KRL, so that it means ``a==(5 AND b)==6``."""
+        if node.operator not in _RELATIONS:
             return
         for side in (node.left, node.right):
-            type_ = None if isinstance(side, Binary) and side.parenthesized else type_of(side, self._names)
-            if type_ is not None and type_ is not BOOL:
+            if isinstance(side, Binary) and not side.parenthesized and side.operator in _LOGICAL:
                 message = (
-                    f"{node.operator} binds more tightly than comparisons in KRL: put each comparison into parentheses"
+                    f"{side.operator} binds more tightly than {node.operator} in KRL: "
+                    f"put the comparisons, or what is compared, into parentheses"
                 )
-                self._warn(node.place, "parentheses", message)
-                return
+                self._warn(side.place, "parentheses", message)

@@ -59,6 +59,7 @@ def test_a_correct_program_has_no_findings():
         ("WAIT FOR r", "error", "condition"),
         ("IF i==1 AND b THEN\nENDIF", "warning", "parentheses"),
         ("IF i==1 AND r==2 THEN\nENDIF", "warning", "parentheses"),
+        ("WAIT FOR $IN[1]==TRUE AND $IN[2]==FALSE", "warning", "parentheses"),
         ("INTERRUPT DECL 50 WHEN b DO t()", "warning", "priority"),
         ("t(5)", "error", "arguments"),
     ],
