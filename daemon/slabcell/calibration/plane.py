@@ -24,6 +24,8 @@ __all__ = ["PlaneResult", "PlaneView", "calibrate_plane"]
 MAX_ROUNDS = 30
 NOISE_FLOOR_PX = 0.02
 LIFT_LIMIT_MM = 1.0
+MIN_TO_TELL = 4
+OUTLIER_FACTOR, OUTLIER_FLOOR_PX = 3.0, 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,22 +91,23 @@ def calibrate_plane(
         return _cost(solve(views), views, board_thickness_mm, None, noise_px, np.zeros(0))
 
     detections = [d.centred(calibration.lens) for d in best_variant(detections, residual)]
-    state = solve(detections)
-    turn, _ = cv2.Rodrigues(state.pose[:3])
-    plane = TablePlane(np.asarray(turn, np.float64), state.pose[3:].copy())
-    if plane.rotation[2, 2] > 0.0:
-        raise CalibrationError(
-            "the table would be seen from below: the pictures seem to be mirrored; save them as the camera gives them"
-        )
-    done = replace(calibration, lens=state.lens, plane=plane)
-    views = _reports(done, state, detections, board_thickness_mm)
+    left_out: list[Detection] = []
+    while True:
+        state = solve(detections)
+        done = _with_plane(calibration, state)
+        views = _reports(done, state, detections, board_thickness_mm)
+        worst = _outlier(views)
+        if worst is None:
+            break
+        left_out.append(detections[worst])
+        detections = [d for n, d in enumerate(detections) if n != worst]
     rms_px = float(np.sqrt(np.mean([v.rms_px**2 for v in views])))
-    warnings = _warnings(views)
+    warnings = _warnings(done, views, left_out, board_thickness_mm)
     fit: TouchFit | None = None
     if touch:
         seen = [_touched_on_plane(done, t, detections, state, board, board_thickness_mm) for t in touch]
         fit = fit_touch(np.array(seen), touch, affine=affine)
-        done = replace(done, plane=fit.carry(plane))
+        done = replace(done, plane=fit.carry(done.require_plane()))
         warnings += fit.warnings
     diagnostics: dict[str, object] = {
         **done.diagnostics,
@@ -121,6 +124,28 @@ def calibrate_plane(
         },
     }
     return PlaneResult(replace(done, diagnostics=diagnostics), views, rms_px, fit, warnings)
+
+
+def _with_plane(calibration: Calibration, state: _State) -> Calibration:
+    turn, _ = cv2.Rodrigues(state.pose[:3])
+    plane = TablePlane(np.asarray(turn, np.float64), state.pose[3:].copy())
+    if plane.rotation[2, 2] > 0.0:
+        raise CalibrationError(
+            "the table would be seen from below: the pictures seem to be mirrored; save them as the camera gives them"
+        )
+    return replace(calibration, lens=state.lens, plane=plane)
+
+
+def _outlier(views: Sequence[PlaneView]) -> int | None:
+    """Return the view that does not lie in the plane of the others, if there are enough to tell.
+
+    The first is never left out, because it carries the frame.
+    """
+    if len(views) < MIN_TO_TELL:
+        return None
+    worst = max(range(len(views)), key=lambda n: views[n].rms_px)
+    typical = float(np.median([v.rms_px for v in views]))
+    return worst if worst and views[worst].rms_px > max(OUTLIER_FACTOR * typical, OUTLIER_FLOOR_PX) else None
 
 
 def _start(lens: Lens, poses: Sequence[Vector], thickness_mm: float) -> _State:
@@ -239,17 +264,12 @@ def _normal_equations(
 def _reports(
     done: Calibration, state: _State, views: Sequence[Detection], thickness_mm: float
 ) -> tuple[PlaneView, ...]:
-    plane = done.require_plane()
     reports: list[PlaneView] = []
     for view, place in zip(views, state.boards, strict=True):
         on_table = _on_table(view.points_mm, place, thickness_mm)
         residual = view.pixels - done.image_from_table(on_table[:, :2], thickness_mm)
         seen = done.table_from_image(view.pixels, thickness_mm)
-        alone = board_pose(view.points_mm, view.pixels, done.lens)
-        turn, _ = cv2.Rodrigues(alone[:3])
-        middle = turn @ view.points_mm.mean(axis=0) + alone[3:]
-        lift = float((plane.rotation.T @ (middle - plane.translation))[2]) - thickness_mm
-        lean = float(np.rad2deg(np.arccos(np.clip((plane.rotation.T @ turn)[2, 2], -1.0, 1.0))))
+        lift, lean = _stands(done, view, thickness_mm)
         reports.append(
             PlaneView(
                 view.name,
@@ -263,12 +283,31 @@ def _reports(
     return tuple(reports)
 
 
-def _warnings(views: Sequence[PlaneView]) -> tuple[str, ...]:
+def _stands(done: Calibration, view: Detection, thickness_mm: float) -> tuple[float, float]:
+    """Return how far a board, taken alone, stands off the plane (mm) and how it is tilted against it (degrees)."""
+    plane = done.require_plane()
+    alone = board_pose(view.points_mm, view.pixels, done.lens)
+    turn, _ = cv2.Rodrigues(alone[:3])
+    middle = turn @ view.points_mm.mean(axis=0) + alone[3:]
+    lift = float((plane.rotation.T @ (middle - plane.translation))[2]) - thickness_mm
+    return lift, float(np.rad2deg(np.arccos(np.clip((plane.rotation.T @ turn)[2, 2], -1.0, 1.0))))
+
+
+def _warnings(
+    done: Calibration, views: Sequence[PlaneView], left_out: Sequence[Detection], thickness_mm: float
+) -> tuple[str, ...]:
     lines: list[str] = []
     if len(views) < 3:
         lines.append(
-            f"{len(views)} board position(s) on the table: five, spread over the work area, give several times the "
-            "accuracy"
+            f"{len(views)} board position(s) on the table: five, spread over the work area, give several times the"
+            " accuracy"
+        )
+    for view in left_out:
+        lift, tilt = _stands(done, view, thickness_mm)
+        lines.append(
+            f"{view.name} was left out: the board does not lie in the plane of the others (it stands {lift:+.2f} mm "
+            "off,"
+            f" tilted by {tilt:.2f}°): lay it flat and take the picture again"
         )
     typical = float(np.median([v.rms_px for v in views]))
     if len(views) > 1:
@@ -276,7 +315,7 @@ def _warnings(views: Sequence[PlaneView]) -> tuple[str, ...]:
             f"{v.name}: the board does not lie in the plane of the others (residual {v.rms_px:.2f} px, alone it would"
             f" stand {v.lift_mm:+.2f} mm off, tilted by {v.tilt_deg:.2f}°): lay it flat and take the picture again"
             for v in views
-            if v.rms_px > max(3.0 * typical, 0.3) or abs(v.lift_mm) > LIFT_LIMIT_MM
+            if v.rms_px > max(OUTLIER_FACTOR * typical, OUTLIER_FLOOR_PX) or abs(v.lift_mm) > LIFT_LIMIT_MM
         ]
     return tuple(lines)
 
