@@ -66,9 +66,6 @@ def camera_command(
     """
     if scene is not None and images is not None:
         raise UsageError("--scene and --images exclude each other: a camera sees one thing")
-    stop = threading.Event()
-    for number in (SIGINT, SIGTERM):
-        signal(number, lambda _number, _frame: stop.set())
     limits = SensorLimits(width, height)
     if scene is not None:
         render, first_serial, limits = _scene(scene, seed)
@@ -98,6 +95,9 @@ def camera_command(
                 raise UnavailableError(str(error)) from error
             cameras.append(camera)
             typer.echo(f"camera {camera.device.serial} ready at {camera.address}")
+        stop = threading.Event()
+        for number in (SIGINT, SIGTERM):
+            signal(number, lambda _number, _frame: stop.set())
         threading.Thread(target=_read_verbs, args=(cameras,), daemon=True).start()
         stop.wait()
 

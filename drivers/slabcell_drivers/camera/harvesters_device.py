@@ -7,6 +7,7 @@ gives up half-way when the camera is gone; a row's padding is not removed; produ
 import importlib
 import time
 from collections.abc import Sequence
+from ipaddress import IPv4Address
 from typing import Any, Final
 
 import numpy as np
@@ -37,7 +38,7 @@ _POLL_MS: Final = 1
 _PRIMING_S: Final = 2.0
 _PRIMING_TRIES: Final = 3
 _BUSY: Final = ("AccessDeniedException", "ResourceInUseException", "BusyException")
-_LOST: Final = ("TimeoutException", "IoException", "InvalidHandleException")
+_LOST: Final = ("TimeoutException", "IoException", "InvalidHandleException", "InvalidIdException")
 
 RawFrame = tuple[npt.NDArray[np.uint8], dict[str, Any]]
 """The bytes of a frame, and what the producer says of it."""
@@ -132,7 +133,9 @@ class HarvestersDevice:
             [_ask(device, name) for name in ("serial_number", "id_", "user_defined_name")]
             for device in self._harvester.device_info_list
         ]
-        for wanted in (self._camera, self._serial):
+        # A producer that knows cameras by address is asked by address only: serial numbers are unique to one maker.
+        by_address = _is_address(self._camera) and any(_is_address(found[1]) for found in names)
+        for wanted in (self._camera,) if by_address else (self._camera, self._serial):
             for index, found in enumerate(names):
                 if wanted in found:
                     return index
@@ -336,6 +339,14 @@ class _Count(_core.Callback):
     def emit(self, context: Any) -> None:
         del context
         self._device.incomplete()
+
+
+def _is_address(text: object) -> bool:
+    try:
+        IPv4Address(str(text))
+    except ValueError:
+        return False
+    return True
 
 
 def _ask(thing: Any, name: str) -> Any:

@@ -31,6 +31,7 @@ LOOK_S: Final = 0.5
 WATCH_EVERY_S: Final = 0.5
 RETRY_EVERY_S: Final = 0.2
 CONNECT_S: Final = 10.0
+CONNECT_TRIES: Final = 3
 BACKOFF_S: Final = (1.0, 2.0, 4.0, 8.0, 16.0, 30.0)
 DISCONNECT_S: Final = 10.0
 _CLOSED: Final = "open it before a picture is taken"
@@ -165,6 +166,7 @@ class SupervisedCamera:
         """Connect as soon as the camera answers and is free.  Raises CameraError at the deadline."""
         sight = Sight.SILENT
         busy: CameraBusy | None = None
+        lost = 0
         while (left_s := deadline_s - time.monotonic()) > 0:
             sight = await self._backend.look(min(LOOK_S, left_s))
             if sight is Sight.FREE:
@@ -173,6 +175,11 @@ class SupervisedCamera:
                         return await self._backend.connect()
                 except CameraBusy as error:
                     busy, sight = error, Sight.CONTROLLED  # another client was quicker
+                except CameraLost:
+                    lost += 1
+                    if lost == CONNECT_TRIES:
+                        raise
+                    sight = Sight.SILENT  # it answered a moment ago: a packet may have been lost
                 except TimeoutError as error:
                     if busy is not None:
                         raise busy from error

@@ -181,7 +181,7 @@ async def test_two_processes_cannot_both_control_a_camera(
     async with opened(gige.device.serial, producer, PLAIN) as camera:
         second = HarvestersCamera(gige.device.serial, [producer], PLAIN)
         with pytest.raises((CameraBusy, CameraTimeout)):  # timeout: a busy machine had no time to ask twice
-            await second.open(5.0)
+            await second.open(3.0)
         await camera.snap(5.0)
     async with asyncio.timeout(30.0):
         while await look(gige.address, 0.5) is not Sight.FREE:  # noqa: ASYNC110 - it is another process
