@@ -37,6 +37,8 @@ FEW_TURNS_DEG = (0.0, 180.0, 90.0, -90.0)
 STRAIGHT_MM, STRAIGHT_DEG = 1e-3, 1e-3
 """A tool whose axis is the flange's within this only turns A6 when it turns."""
 
+SAME_MM = 1e-6
+
 Matrix = npt.NDArray[np.float64]
 
 
@@ -191,6 +193,12 @@ class Planner:
         found: list[tuple[_Reached, PlanarPose]] = []
         problem: ArmError | None = None
         for place in places:
+            if found and self._straight and _same_point(found[0][1], place):
+                # Gripped in its middle: laid turned, only A6 differs, and by the turn itself.
+                axes = found[0][0].place
+                turned = axes[5] + place.a_deg - found[0][1].a_deg
+                found.append((_Reached(at_pick, (*axes[:5], turned)), place))
+                continue
             try:
                 found.append((_Reached(at_pick, self._descend(self._place_base, place)), place))
             except ArmError as error:
@@ -211,6 +219,10 @@ class Planner:
     def _down(self, pose: PlanarPose, turn_deg: float) -> Frame:
         height_mm = self._recipe.thickness_mm
         return Frame(pose.x_mm, pose.y_mm, height_mm, normalize_deg(pose.a_deg + turn_deg), 0.0, 180.0)
+
+
+def _same_point(one: PlanarPose, other: PlanarPose) -> bool:
+    return math.hypot(one.x_mm - other.x_mm, one.y_mm - other.y_mm) < SAME_MM
 
 
 def _shifted(pose: PlanarPose, shift_mm: tuple[float, float]) -> PlanarPose:

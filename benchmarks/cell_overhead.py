@@ -1,0 +1,116 @@
+"""What does the cell add to camera and vision, and what does an acknowledgement cost beside a bare sync of this disk?
+
+    python benchmarks/cell_overhead.py [--jobs 40] [--slots 5] [--directory DIR]
+
+Camera and vision are scripted and take no time, so that what is left of a trigger is the cell: states, planning with
+the arm's kinematics, ledger, and the way between the threads.  The first offer counts: TRIGGER and NEXT together.
+"""
+
+import argparse
+import asyncio
+import importlib.util
+import logging
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import structlog
+
+from slabcell.catalogue import Fault
+from slabcell.cell.bundle_store import BundleWriter
+from slabcell.cell.cell import Cell
+from slabcell.cell.ledger import Ledger
+from slabcell_drivers.robot.arm import KR3_R540
+from slabcell_drivers.robot.protocol import AckState
+
+KIT = Path(__file__).parents[1] / "tests" / "unit" / "cell" / "conftest.py"
+
+
+def load_kit():
+    """Return the scripted parts that the unit tests use."""
+    spec = importlib.util.spec_from_file_location("cell_kit", KIT)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["cell_kit"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def bare_fsync_ms(folder: Path, times: int) -> list[float]:
+    """Return how long this disk needs to append 4 KiB and sync: the floor of every acknowledgement."""
+    result = []
+    with (folder / "floor").open("wb") as stream:
+        for _ in range(times):
+            began = time.perf_counter()
+            stream.write(b"x" * 4096)
+            stream.flush()
+            os.fdatasync(stream.fileno())
+            result.append((time.perf_counter() - began) * 1e3)
+    return result
+
+
+async def run(folder: Path, jobs: int, slots: int, *, bundles: bool) -> dict[str, list[float]]:
+    """Return the times of every job, in milliseconds."""
+    kit = load_kit()
+    eyes = kit.ScriptedEyes(on_table=set(range(slots)))
+    ledger = await Ledger.open(folder / "ledger.sqlite")
+    cell = Cell(
+        kit.ScriptedCamera(time.monotonic),
+        kit.make_calibration(),
+        kit.make_recipe(slots),
+        arm=KR3_R540,
+        settings=kit.make_settings(check_assembly_is_empty=False),
+        ledger=ledger,
+        bundles=BundleWriter(folder / "bundles") if bundles else None,
+        eyes=eyes,
+    )
+    await cell.start()
+    robot = kit.ScriptedRobot(cell)
+    times: dict[str, list[float]] = {"first offer": [], "plan": [], "acknowledgement": [], "next": [], "fsync": []}
+    for _ in range(jobs):
+        await robot.hello()
+        began = time.perf_counter()
+        answer = await robot.trigger()
+        offer = (await robot.next()).offer
+        times["first offer"].append((time.perf_counter() - began) * 1e3)
+        times["plan"].append(cell.cycles[-1].times_ms["plan"])
+        left = answer.left
+        while left:
+            for state in (AckState.ACCEPTED, AckState.GRASPED, AckState.PLACED):
+                began = time.perf_counter()
+                left = (await robot.say(state, offer.result_id)).left
+                times["acknowledgement"].append((time.perf_counter() - began) * 1e3)
+            times["fsync"] += bare_fsync_ms(folder, 1)  # interleaved: both see the same disk
+            began = time.perf_counter()
+            offer = (await robot.next()).offer
+            if offer is not None:
+                times["next"].append((time.perf_counter() - began) * 1e3)
+        eyes.lying = set(range(slots))
+        assert (await robot.trigger()).code == 1
+        cell.alarms.acknowledge(Fault.PLACEMENT_MISSING)
+    await cell.stop()
+    await ledger.close()
+    return times
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--jobs", type=int, default=40)
+    parser.add_argument("--slots", type=int, default=5, choices=range(1, 6))
+    parser.add_argument("--directory", type=Path, default=None, help="on the disk to be measured")
+    options = parser.parse_args()
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.WARNING))
+    for bundles in (False, True):
+        with tempfile.TemporaryDirectory(dir=options.directory) as folder:
+            times = asyncio.run(run(Path(folder), options.jobs, options.slots, bundles=bundles))
+        print(f"{options.jobs} jobs of {options.slots} slabs, bundles {'kept' if bundles else 'not kept'}")
+        for name, values in times.items():
+            low, median, high = np.percentile(values, (5, 50, 95))
+            print(f"  {name:16} median {median:6.2f} ms   5 % {low:6.2f}   95 % {high:6.2f}   ({len(values)} times)")
+
+
+if __name__ == "__main__":
+    main()
