@@ -54,8 +54,11 @@ class EdgePieces:
 
     def thinned(self, count: int) -> "EdgePieces":
         """Return about this many of the pieces, spread over the outline."""
-        step = max(1, len(self) // max(count, 1))
-        return EdgePieces(self.middle[::step], self.tangent[::step], self.half_mm[::step], self.bend[::step])
+        return self.selected(np.arange(0, len(self), max(1, len(self) // max(count, 1))))
+
+    def selected(self, which: npt.NDArray[np.intp]) -> "EdgePieces":
+        """Return these of the pieces."""
+        return EdgePieces(self.middle[which], self.tangent[which], self.half_mm[which], self.bend[which])
 
     @property
     def outward(self) -> Points:

@@ -78,6 +78,8 @@ class Locator(Prepared):
         candidates = outcome.candidates()
         clock.stop("match")
         registrations = register(grey, self.plane, self.slots, self.pieces, candidates)
+        parted, found = outcome.split_touching(grey, segmentation.mask)
+        candidates, registrations = candidates + parted, registrations + found
         clock.stop("register")
         parts, rejected = outcome.decide(candidates, registrations)
         clock.stop("decide")

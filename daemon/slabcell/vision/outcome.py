@@ -1,6 +1,7 @@
 """What becomes of each blob of a picture?  Its slot and poses, or why it is refused."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -11,12 +12,16 @@ from slabcell.vision.classic import classic_distances
 from slabcell.vision.describe import Shapes
 from slabcell.vision.grasp import Grasp
 from slabcell.vision.matching import Candidate, assign, find_candidates
+from slabcell.vision.pixels import Grey
 from slabcell.vision.prepared import Prepared
 from slabcell.vision.registration import Registration
 from slabcell.vision.result import ImagePose, LocatedPart, RejectedBlob, RejectionReason, Sigma
+from slabcell.vision.touching import split_blob
 
 __all__ = ["Outcome"]
 
+# Bound on blobs, those that were taken apart included.
+MAX_PARTS = 2000
 # What the whole-outline registration may be off before the edges are measured: in pixels, and in parts of the size.
 COARSE_PX = 1.5
 COARSE_SHARE = 0.01
@@ -32,6 +37,7 @@ class Outcome:
         self._blobs = blobs
         self._shapes = shapes
         self._free = free
+        self._areas: list[float] = shapes.area_mm2.tolist()
         self._refused: dict[int, tuple[RejectionReason, str]] = {}
         self._distance: npt.NDArray[np.float64] | None = None
 
@@ -80,6 +86,33 @@ class Outcome:
                 )
         return [candidate for candidate in found if candidate.blob not in self._refused]
 
+    def split_touching(self, grey: Grey, mask: npt.NDArray[np.uint8]) -> tuple[list[Candidate], list[Registration]]:
+        """Take blobs apart that are larger than every slot, where slots explain them; each slab becomes a blob."""
+        candidates: list[Candidate] = []
+        registrations: list[Registration] = []
+        if not self._prepared.recipe.matching.split_touching:
+            return candidates, registrations
+        for index in self._perhaps_several():
+            if len(registrations) + len(self._blobs) > MAX_PARTS:
+                break
+            for found in split_blob(self._prepared, grey, mask, index, self._blobs[index]):
+                slot = self._prepared.slots[found.candidate.slot]
+                outline = self._prepared.plane.to_pixels(found.motion.apply(slot.vertices))
+                self._blobs.append(RawBlob(outline, 0.0, touches_rim=False))
+                self._areas.append(slot.area_mm2)
+                own = replace(found.candidate, blob=len(self._blobs) - 1)
+                candidates.append(own)
+                registrations.append(replace(found, candidate=own))
+                self._refused.pop(index, None)
+        return candidates, registrations
+
+    def _perhaps_several(self) -> list[int]:
+        """Return the refused blobs that are as large as two slabs, wholly in the picture."""
+        areas = np.sort(self._prepared.shapes.area_mm2)
+        least = 0.9 * float(areas[:2].sum())
+        reasons = (RejectionReason.TOUCHING, RejectionReason.NO_SLOT_FITS)
+        return [key for key, (reason, _) in self._refused.items() if reason in reasons and self._areas[key] >= least]
+
     def decide(
         self, candidates: list[Candidate], registrations: list[Registration]
     ) -> tuple[list[LocatedPart], list[RejectedBlob]]:
@@ -95,7 +128,8 @@ class Outcome:
                 if registration.evidence_mm < failed.get(candidate.blob, (math.inf, ""))[0]:
                     failed[candidate.blob] = (registration.evidence_mm, f"slot {candidate.slot}: {why}")
             elif key not in best or registration.evidence_mm < best[key].evidence_mm:
-                cost[key] = registration.evidence_mm if self._distance is None else self._distance[key]
+                classic = self._distance is not None and candidate.blob < len(self._distance)
+                cost[key] = self._distance[key] if classic and self._distance is not None else registration.evidence_mm
                 best[key] = registration
         possible = {blob for blob, _ in best}
         for index in failed:
@@ -198,7 +232,7 @@ class Outcome:
         for index in sorted(self._refused):
             reason, detail = self._refused[index]
             u, v = self._blobs[index].polygon.mean(axis=0)
-            area = float(self._shapes.area_mm2[index])
+            area = self._areas[index]
             rejected.append(RejectedBlob(float(u), float(v), area, reason, detail, self._blobs[index].polygon))
         return rejected
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from slabcell.errors import CalibrationError, ImageError
-from slabcell.geometry import Polygon
+from slabcell.geometry import Polygon, RigidTransform2D
 from slabcell.recipe import MatchingParameters
 from slabcell.vision import Locator, locate
 from slabcell.vision.result import LocateResult, RejectionReason
 
-from .pictures import L_SHAPE, RECTANGLE, SHAPES, SQUARE, calibration, moved, recipe, render, scatter
+from .pictures import KITE, L_SHAPE, RECTANGLE, SHAPES, SQUARE, calibration, moved, recipe, render, scatter
 
 pytestmark = pytest.mark.unit
 
@@ -226,3 +226,31 @@ def test_a_light_floor_around_a_dark_table_does_not_hide_light_slabs():
     result = locate(picture, CAMERA, PRODUCT)
     assert [part.slot for part in result.parts] == [0, 1, 2, 3, 4]
     assert "tried because" in result.segmentation
+
+
+def test_touching_slabs_are_taken_apart_where_slots_explain_them():
+    first = RigidTransform2D(20.0, 0.0, 0.0).apply(moved(RECTANGLE, -80, -20))
+    second = RigidTransform2D(20.0, 0.0, 0.0).apply(moved(KITE, 0.0, -18))
+    result = locate(render(CAMERA, [first, second]), CAMERA, recipe([RECTANGLE, KITE, L_SHAPE]))
+    assert [part.slot for part in result.parts] == [0, 1]
+    for part, outline in zip(result.parts, (first, second), strict=True):
+        slot = recipe([RECTANGLE, KITE, L_SHAPE]).template.slots[part.slot]
+        error = part.table_to_assembly.inverse().apply(slot.centroid) - Polygon.from_points(outline).centroid
+        assert np.hypot(*error) < 0.2
+
+
+def test_touching_slabs_stay_together_where_the_recipe_says_so():
+    first, second = moved(RECTANGLE, -80, -20), moved(KITE, 0.0, -18)
+    kept = replace(recipe([RECTANGLE, KITE]), matching=MatchingParameters(split_touching=False))
+    result = locate(render(CAMERA, [first, second]), CAMERA, kept)
+    assert result.parts == ()
+    assert [blob.reason for blob in result.rejected] == [RejectionReason.TOUCHING]
+
+
+def test_slabs_that_touch_a_stranger_are_not_picked():
+    stranger = [(0, 0), (45, -20), (90, 0), (70, 45), (15, 30)]
+    result = locate(
+        render(CAMERA, [moved(RECTANGLE, -80, -20), moved(stranger, -1, -10)]), CAMERA, recipe([RECTANGLE, KITE])
+    )
+    assert result.parts == ()
+    assert [blob.reason for blob in result.rejected] == [RejectionReason.TOUCHING]
