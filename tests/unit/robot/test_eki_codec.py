@@ -122,24 +122,36 @@ def test_elements_that_were_never_set_read_as_zero():
 @pytest.mark.parametrize(
     ("inner", "reason"),
     [
-        ('<Head Ver="1" Ses="3" Seq="7" Type="9"/>', "9 is not a valid RequestType"),
-        ('<Head Ver="2" Ses="3" Seq="7" Type="1"/>', "speaks version 1"),
-        ('<Head Ses="3" Seq="7" Type="1"/>', "speaks version 1"),
-        ('<Head Ver="1" Ses="3" Seq="7"/>', "Head/@Type is missing"),
-        ('<Head Ver="1" Ses="3" Seq="7" Type="1"/><Pose X="NaN"/>', "Pose/@X"),
-        ('<Head Ver="1" Ses="3" Seq="7" Type="1"/><Pose X="inf"/>', "Pose/@X"),
-        ('<Head Ver="1" Ses="3" Seq="7" Type="1"/><Pose X="1e300"/>', "Pose/@X"),
-        ('<Head Ver="1" Ses="3" Seq="7" Type="1"/><Pose X="1_0"/>', "Pose/@X"),
-        ('<Head Ver="1" Ses="3" Seq="7" Type="1"/><Ack State="7"/>', "7 is not a valid AckState"),
-        ('<Head Ver="1" Ses="3" Seq="7" Type="1"/><Ack ResId="99999999999"/>', "Ack/@ResId"),
-        ('<Head Ver="1" Ses="3" Seq="7" Type="1"/><Ack ResId="1.5"/>', "Ack/@ResId"),
-        (f'<Head Ver="1" Ses="3" Seq="7" Type="1"/><Ack ResId="{"1" * 5000}"/>', "no number is that long"),
+        ('<Head Ver="1" Ses="3" Seq="7" Type="9"/><Check Ints="20"/>', "9 is not a valid RequestType"),
+        ('<Head Ver="2" Ses="3" Seq="7" Type="1"/><Check Ints="13"/>', "speaks version 1"),
+        ('<Head Ses="3" Seq="7" Type="1"/><Check Ints="11"/>', "speaks version 1"),
+        ('<Head Ver="1" Ses="3" Seq="7"/><Check Ints="11"/>', "Head/@Type is missing"),
+        ('<Head Ver="1" Ses="3" Seq="7" Type="1"/><Ack State="7"/><Check Ints="19"/>', "7 is not a valid AckState"),
     ],
 )
 def test_a_wrong_value_is_named_and_the_request_stays_answerable(inner, reason):
     with pytest.raises(InvalidTelegramError, match=re.escape(reason)) as caught:
         decode_request(f"<Robot>{inner}</Robot>".encode())
     assert (caught.value.session, caught.value.sequence) == (3, 7)
+
+
+@pytest.mark.parametrize(
+    ("inner", "reason"),
+    [
+        ("", "Check/@Ints is missing"),
+        ('<Pose X="NaN"/><Check Ints="12"/>', "Pose/@X"),
+        ('<Pose X="inf"/><Check Ints="12"/>', "Pose/@X"),
+        ('<Pose X="1e300"/><Check Ints="12"/>', "Pose/@X"),
+        ('<Pose X="1_0"/><Check Ints="12"/>', "Pose/@X"),
+        ('<Ack ResId="99999999999"/><Check Ints="12"/>', "Ack/@ResId"),
+        ('<Ack ResId="1.5"/><Check Ints="12"/>', "Ack/@ResId"),
+        (f'<Ack ResId="{"1" * 5000}"/>', "no number is that long"),
+        ('<Check Ints="11"/>', "add up to 12"),
+    ],
+)
+def test_a_value_that_cannot_be_read_makes_the_telegram_a_damaged_one(inner, reason):
+    with pytest.raises(MalformedTelegramError, match=re.escape(reason)) as caught:
+        decode_request(f'<Robot><Head Ver="1" Ses="3" Seq="7" Type="1"/>{inner}</Robot>'.encode())
     assert len(str(caught.value)) < 200
 
 

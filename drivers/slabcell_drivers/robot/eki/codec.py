@@ -11,7 +11,8 @@ Errors::
     ├── MalformedTelegramError    not XML, not the expected root, or damaged on its way
     └── InvalidTelegramError      XML, but a value is missing or out of range; knows session and sequence
 
-A telegram whose sums do not agree was damaged on its way: it counts as malformed, because nothing in it can be trusted.
+A telegram with a value that cannot be read, or whose sums do not agree, was damaged on its way: it counts as malformed,
+because nothing in it can be trusted.
 """
 
 import math
@@ -110,8 +111,6 @@ def decode_request(telegram: bytes) -> Request:
         type_, state = RequestType(_int(values, "Head/@Type")), AckState(_int(values, "Ack/@State"))
     except ValueError as error:
         raise InvalidTelegramError(f"Robot telegram: {error}", session=session, sequence=sequence) from error
-    if type_ is not RequestType.HEARTBEAT and "Check/@Ints" not in values:
-        raise InvalidTelegramError("Robot telegram: Check/@Ints is missing", session=session, sequence=sequence)
     a1, a2, a3, a4, a5, a6 = (_real(values, f"Axis/@A{axis}") for axis in range(1, 7))
     return Request(
         type=type_,
@@ -266,16 +265,14 @@ def _read_checked(telegram: Telegram, raw: bytes, *, required: tuple[str, ...]) 
             values[element.path] = _value(element, text.strip())
         except ValueError as error:
             problems.append(str(error))
-    summed = f"{CHECK_NODE}/@Ints" in texts
     session, sequence = _int(values, "Head/@Ses"), _int(values, "Head/@Seq")
     version = values.get("Head/@Ver")
+    if problems:
+        raise MalformedTelegramError(f"{telegram.root} telegram: {problems[0]}")
     if version == PROTOCOL_VERSION:
         _check_sums(telegram, values)
-    elif summed and not _sums_up(texts):
+    elif not _sums_up(texts):
         raise MalformedTelegramError(f"{telegram.root} telegram: Head/@Ver = {version}, and the sums do not agree")
-    if problems and summed:
-        # A peer that sums up writes readable numbers: this telegram was damaged on its way.
-        raise MalformedTelegramError(f"{telegram.root} telegram: {problems[0]}")
     problems += [f"{path} is missing" for path in required if path not in texts]
     if version != PROTOCOL_VERSION:
         problems.insert(
@@ -287,6 +284,8 @@ def _read_checked(telegram: Telegram, raw: bytes, *, required: tuple[str, ...]) 
 
 
 def _check_sums(telegram: Telegram, values: Mapping[str, Value]) -> None:
+    if f"{CHECK_NODE}/@Ints" not in values and values.get("Head/@Type") != RequestType.HEARTBEAT:
+        raise MalformedTelegramError(f"{telegram.root} telegram: {CHECK_NODE}/@Ints is missing")
     for path, expected in _sums(telegram, values).items():
         if path in values and abs(float(values[path]) - expected) > SUM_TOLERANCE:
             raise MalformedTelegramError(
