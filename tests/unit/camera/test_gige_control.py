@@ -5,7 +5,7 @@ from ipaddress import IPv4Address
 from xml.etree import ElementTree
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slabcell_drivers.camera.gvcp import (
@@ -200,11 +200,13 @@ def test_the_device_clock_counts_nanoseconds(control: Control):
     assert int.from_bytes(answer.body[4:], "big") == 2_500_000_000
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=600))
 def test_no_datagram_breaks_the_camera(datagram: bytes):
     Control(DEVICE, SensorLimits()).handle(datagram, CLIENT, 0.0)
 
 
+@settings(deadline=None)
 @given(st.sampled_from(list(Command)), st.binary(max_size=560))
 def test_no_body_of_a_known_command_breaks_the_camera(command: Command, body: bytes):
     control = Control(DEVICE, SensorLimits())
@@ -213,6 +215,7 @@ def test_no_body_of_a_known_command_breaks_the_camera(command: Command, body: by
     assert control.settings.width > 0
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=64))
 def test_what_is_not_a_request_is_named(datagram: bytes):
     try:

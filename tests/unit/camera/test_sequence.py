@@ -1,7 +1,7 @@
 """Is it known which frame answers a trigger?"""
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slabcell_drivers.camera.sequence import FrameSequence, Verdict
@@ -36,6 +36,7 @@ def test_any_other_id_is_a_broken_count_and_says_how_many_are_missing(last: int,
     assert sequence.judge(came) is Verdict.BROKEN
 
 
+@settings(deadline=None)
 @given(st.integers(1, 65_535), st.integers(1, 200))
 def test_a_whole_count_is_always_the_triggers_own(first: int, length: int):
     sequence = FrameSequence()
@@ -43,6 +44,7 @@ def test_a_whole_count_is_always_the_triggers_own(first: int, length: int):
         assert sequence.judge((first - 1 + step) % 65_535 + 1) is Verdict.OWN
 
 
+@settings(deadline=None)
 @given(st.integers(1, 65_535), st.integers(0, 65_535))
 def test_a_refused_frame_does_not_change_what_is_expected(last: int, came: int):
     sequence = after(last)
