@@ -111,9 +111,9 @@ def daemon(config: Path, **environment: str) -> Iterator[tuple[subprocess.Popen[
         log.close()
 
 
-def wait_for_camera(config: Path) -> None:
+def wait_for_log(config: Path, text: str) -> None:
     log, deadline = config.parent / "daemon.log", time.monotonic() + LIMIT_S
-    while '"camera open"' not in log.read_text():
+    while text not in log.read_text():
         assert time.monotonic() < deadline, log.read_text()
         select.select([], [], [], 0.02)
 
@@ -125,7 +125,7 @@ def stop(process: subprocess.Popen[str]) -> int:
 
 def test_the_robot_lays_the_pattern_through_the_daemon_and_it_ends_in_order(cell: Cell) -> None:
     with daemon(cell.config) as (process, address):
-        wait_for_camera(cell.config)
+        wait_for_log(cell.config, "camera open")
         with cell.world.controller(address, seed=1) as controller:
             result = controller.run("SlabCell", max_wall_s=LIMIT_S)
         assert (result.status, result.message) == ("done", "")
@@ -192,6 +192,19 @@ def test_a_cell_without_its_calibration_does_not_start(cell: Cell) -> None:
     done = run(cell.config)
     assert done.returncode == 78
     assert "calibration.json" in done.stderr
+
+
+def test_another_camera_than_the_calibrated_one_is_refused(cell: Cell) -> None:
+    path = cell.folder / "calibration.json"
+    path.write_text(path.read_text().replace(cell.world.scene.camera.serial, "ANOTHER"))
+    with daemon(cell.config) as (process, address):
+        wait_for_log(cell.config, "camera refused")
+        wait_for_log(cell.config, '"halted"')
+        with cell.world.controller(address, seed=1) as controller:
+            result = controller.run("SlabCell", max_wall_s=LIMIT_S)
+        assert result.status == "halted"
+        assert stop(process) == 0
+    assert not cell.world.world.events
 
 
 def test_a_camera_that_is_not_there_is_waited_for_and_the_robot_is_told(cell: Cell) -> None:

@@ -14,12 +14,13 @@ from pathlib import Path
 
 import structlog
 
-from slabcell.calibration import load_calibration
+from slabcell.calibration import Calibration, CameraIdentity, load_calibration
+from slabcell.catalogue import Fault
 from slabcell.cell.bundle_store import BundleWriter
 from slabcell.cell.cell import Cell
 from slabcell.cell.ledger import Ledger
 from slabcell.cell.settings import CellSettings
-from slabcell.errors import ConfigurationError, UnavailableError
+from slabcell.errors import CalibrationError, ConfigurationError, UnavailableError
 from slabcell.geometry import Polygon
 from slabcell.recipe import load_recipe
 from slabcell.service.config import CellConfig, load_config
@@ -94,23 +95,24 @@ async def _cell(config: CellConfig, folder: Path) -> AsyncGenerator[tuple[Cell, 
             ledger=ledger,
             bundles=BundleWriter(folder / "bundles"),
         )
-        opening = asyncio.create_task(_open(camera), name="slabcell-camera-open")
+        await cell.start()
+        opening = asyncio.create_task(_open(camera, calibration, cell), name="slabcell-camera-open")
         try:
-            await cell.start()
-            try:
-                yield cell, ledger
-            finally:
-                await cell.stop()
+            yield cell, ledger
         finally:
             opening.cancel()
             await asyncio.gather(opening, return_exceptions=True)
+            await cell.stop()
             await camera.close()
     finally:
         await ledger.close()
 
 
-async def _open(camera: Camera) -> None:
-    """Open the camera, however long it takes to come; once open, its driver brings it back by itself."""
+async def _open(camera: Camera, calibration: Calibration, cell: Cell) -> None:
+    """Open the camera, however long it takes to come; once open, its driver brings it back by itself.
+
+    A camera that is not the calibrated one is closed again, and the cell halts: no pose may come from it.
+    """
     attempt = 0
     while True:
         try:
@@ -121,8 +123,15 @@ async def _open(camera: Camera) -> None:
             attempt += 1
             await asyncio.sleep(pause_s)
         else:
-            _log.info("camera open", model=info.model, serial=info.serial, width=info.width, height=info.height)
-            return
+            break
+    _log.info("camera open", model=info.model, serial=info.serial, width=info.width, height=info.height)
+    try:
+        calibration.require_camera(CameraIdentity(info.width, info.height, info.serial), f"camera {info.serial}")
+    except CalibrationError as error:
+        _log.exception("camera refused")
+        await camera.close()
+        cell.alarms.come(Fault.CALIBRATION_MISMATCH, str(error))
+        await cell.halt(str(error))
 
 
 @contextlib.asynccontextmanager
