@@ -123,10 +123,10 @@ class MatchingParameters(TomlTable):
         default=0.12, description="relative difference of area above which a blob is not compared with a slot"
     )
     max_residual_mm: Annotated[float, Field(gt=0, le=50)] = Field(
-        default=0.6, description="root mean square distance between outline and slot above which a blob is refused"
+        default=0.4, description="root mean square distance between outline and slot above which a blob is refused"
     )
     min_coverage: Annotated[float, Field(ge=0.3, le=1)] = Field(
-        default=0.9, description="share of the outline that must be where the slot says, else the blob is refused"
+        default=0.95, description="share of the outline that must be where the slot says, else the blob is refused"
     )
     min_score: Annotated[float, Field(ge=0, le=1)] = Field(
         default=0.8, description="score below which a blob is refused"

@@ -40,7 +40,9 @@ ROUGH_PX, FINE_PX = 5.0, 3.0
 # Share of the outline that must lie inside of the blob, before and after, and that must be the blob's own outline.
 ROUGH_INSIDE, FINE_INSIDE, MIN_FREE = 0.85, 0.95, 0.3
 # Share of two slabs' area that may overlap, and how well the slabs together must fill the blob.
-MAX_OVERLAP, MAX_UNFILLED = 0.02, 0.06
+MAX_OVERLAP, MAX_UNFILLED = 0.02, 0.03
+# What is seen of a slab is only a part of its outline: that part must fit better than a whole one would have to.
+MIN_COVERAGE, RESIDUAL_SHARE = 0.98, 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,7 +185,7 @@ def _explain(
         item, slot = registered[index], numbers[index]
         if inside[index] < FINE_INSIDE or free[index] < MIN_FREE or slot in taken:
             continue
-        if item.coverage < limits.min_coverage or item.residual_mm > limits.max_residual_mm:
+        if item.coverage < MIN_COVERAGE or item.residual_mm > RESIDUAL_SHARE * limits.max_residual_mm:
             continue
         polygon = prepared.slots[slot].transformed(item.motion)
         if any(_overlap(polygon, other) > MAX_OVERLAP * polygon.area_mm2 for other in laid):
