@@ -75,7 +75,7 @@ class Streamer:
             self._wake.notify()
 
     def trigger(self) -> None:
-        """Take one frame; a trigger that comes while one is being taken is ignored, as cameras do."""
+        """Take one frame; a trigger that comes while one is being exposed is ignored, as cameras do."""
         with self._wake:
             if not self._running or self._triggered:
                 self.counts.triggers_ignored += 1
@@ -134,9 +134,8 @@ class Streamer:
                 if not self._wait_until(due_s):
                     continue
             self._frame(settings)
-            with self._wake:
-                self._triggered = False
-                if settings.single:
+            if settings.single:
+                with self._wake:
                     self._running = False
 
     def _free_running(self) -> bool:
@@ -157,6 +156,9 @@ class Streamer:
         time.sleep(settings.exposure_us / 1e6)
         self._number += 1
         data = self._sensor.expose(self._number, settings)
+        with self._wake:
+            # Ready for the next trigger before the first packet leaves: who has the whole frame may trigger at once.
+            self._triggered = False
         block = self._faults.take_next_block() or self._block
         self._block = next_block(block)
         fault = self._faults.begin_frame()
