@@ -51,11 +51,19 @@ def through_harvesters(address: str) -> Camera:
         raise
 
 
+@pytest.fixture
+def serial(address: str) -> str:
+    """A number of its own: discovery sees the cameras of other workers too, and takes two of one name for one."""
+    return f"T-{address}"
+
+
 @pytest.fixture(params=[through_aravis, through_harvesters], ids=["aravis", "harvesters"])
-def make(request: pytest.FixtureRequest, aravis: AravisLibrary, address: str) -> Iterator[Callable[[], Camera]]:
+def make(
+    request: pytest.FixtureRequest, aravis: AravisLibrary, address: str, serial: str
+) -> Iterator[Callable[[], Camera]]:
     with ExitStack() as running:
         gige = GigeCamera(
-            contract.picture, address, serial="T-1", vendor="slabcell", model="test", limits=SensorLimits(64, 48)
+            contract.picture, address, serial=serial, vendor="slabcell", model="test", limits=SensorLimits(64, 48)
         )
 
         def make_camera() -> Camera:

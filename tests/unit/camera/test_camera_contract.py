@@ -39,18 +39,25 @@ def replayed(folder: Path) -> Camera:
     return ReplayCamera(folder, mode=ReplayMode.LOOP, serial="T-1")
 
 
+@pytest.fixture
+def serial() -> str:
+    return INFO.serial
+
+
 @pytest.fixture(params=[simulated, replayed], ids=["simulated", "replay"])
 def make(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[], Camera]:
     return lambda: request.param(tmp_path)
 
 
-async def test_a_camera_is_closed_until_it_is_opened_and_again_after_it_is_closed(make: Callable[[], Camera]) -> None:
+async def test_a_camera_is_closed_until_it_is_opened_and_again_after_it_is_closed(
+    serial: str, make: Callable[[], Camera]
+) -> None:
     camera = make()
     assert camera.state is CameraState.CLOSED
 
     info = await camera.open(5.0)
     assert camera.state is CameraState.READY
-    assert (info.serial, info.width, info.height, info.pixel_format) == ("T-1", 64, 48, "Mono8")
+    assert (info.serial, info.width, info.height, info.pixel_format) == (serial, 64, 48, "Mono8")
 
     await camera.close()
     await camera.close()
