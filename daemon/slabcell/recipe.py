@@ -23,6 +23,7 @@ __all__ = [
     "Mark",
     "MatchingParameters",
     "MorphologyStep",
+    "PromptableParameters",
     "Recipe",
     "RecipeFile",
     "SegmentationParameters",
@@ -52,12 +53,52 @@ class MorphologyStep(TomlTable):
     )
 
 
+class PromptableParameters(TomlTable):
+    """``[segmentation.promptable]``: the model of method promptable, and which of its masks count as slabs."""
+
+    encoder: Annotated[str, Field(min_length=1, max_length=4096)] = Field(
+        description="ONNX file of the encoder, or of EfficientSAM in one file, relative to the recipe"
+    )
+    decoder: Annotated[str, Field(min_length=1, max_length=4096)] | None = Field(
+        default=None, description="ONNX file of the decoder, relative to the recipe; EfficientSAM in one file has none"
+    )
+    coarse: Literal["auto", "fixed", "otsu", "dynamic_hard", "dynamic_soft", "local", "multi_otsu", "kmeans"] = Field(
+        default="auto", description="method that finds the coarse blobs, whose boxes and middles are the prompts"
+    )
+    max_prompts: Annotated[int, Field(ge=1, le=500)] = Field(
+        default=64, description="prompts of one picture; the largest coarse blobs are asked for first"
+    )
+    area_tolerance: Annotated[float, Field(gt=0, le=1)] = Field(
+        default=0.25, description="relative difference of area to every slot above which a mask is no slab"
+    )
+    inertia_tolerance: Annotated[float, Field(gt=0, le=1)] = Field(
+        default=0.25,
+        description="relative difference of normalised inertia to every slot above which a mask is no slab",
+    )
+    min_stability: Annotated[float, Field(ge=0, le=1)] = Field(
+        default=0.85, description="share of a mask that must stay when its threshold is moved by stability_margin"
+    )
+    stability_margin: Annotated[float, Field(gt=0, le=20)] = Field(
+        default=1.0, description="by how much of a logit the threshold is moved to see how firm a mask is"
+    )
+    max_overlap: Annotated[float, Field(ge=0, le=1)] = Field(
+        default=0.2,
+        description="share of the smaller of two masks above which the one that fits no slot better is left out",
+    )
+    max_seconds: Annotated[float, Field(gt=0, le=600)] = Field(
+        default=30.0, description="time in seconds after which the model is stopped and the picture refused"
+    )
+    threads: Annotated[int, Field(ge=0, le=256)] = Field(
+        default=0, description="threads that the model runs on; 0 is one for each core"
+    )
+
+
 class SegmentationParameters(TomlTable):
     """``[segmentation]``: which pixels belong to slabs."""
 
-    method: Literal["auto", "fixed", "otsu", "dynamic_hard", "dynamic_soft", "local", "multi_otsu", "kmeans"] = Field(
-        default="auto", description="auto chooses between otsu and local and says why"
-    )
+    method: Literal[
+        "auto", "fixed", "otsu", "dynamic_hard", "dynamic_soft", "local", "multi_otsu", "kmeans", "promptable"
+    ] = Field(default="auto", description="auto chooses between otsu and local and says why")
     polarity: Literal["auto", "light", "dark"] = Field(
         default="auto", description="slabs are lighter or darker than the table"
     )
@@ -97,11 +138,16 @@ class SegmentationParameters(TomlTable):
     border: Literal["reject", "keep"] = Field(
         default="reject", description="what to do with blobs that touch the picture's rim"
     )
+    promptable: PromptableParameters | None = Field(default=None, description="the model of method promptable")
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if self.method == "fixed" and self.threshold is None:
+        coarse = self.method if self.promptable is None else self.promptable.coarse
+        if "fixed" in (self.method, coarse) and self.threshold is None:
             msg = "method 'fixed' needs the key 'threshold', a grey level"
+            raise ValueError(msg)
+        if self.method == "promptable" and self.promptable is None:
+            msg = "method 'promptable' needs the table [segmentation.promptable] with the key 'encoder', a model's file"
             raise ValueError(msg)
         if self.low_tail_percent + self.high_tail_percent >= 100:
             msg = "low_tail_percent and high_tail_percent leave no pixel: their sum must be under 100"
@@ -238,11 +284,19 @@ def load_recipe(path: Path) -> Recipe:
     """Return the checked recipe of a TOML file.  Raises RecipeError or TemplateError."""
     written = read_toml(path, RecipeFile, RecipeError)
     template = load_template(path.parent / written.template.file)
+    segmentation = written.segmentation
+    if segmentation.promptable is not None:
+        model = segmentation.promptable
+        places = {
+            "encoder": str(path.parent / model.encoder),
+            "decoder": None if model.decoder is None else str(path.parent / model.decoder),
+        }
+        segmentation = segmentation.model_copy(update={"promptable": model.model_copy(update=places)})
     return Recipe(
         path.stem,
         template,
         written.template.thickness_mm,
-        written.segmentation,
+        segmentation,
         written.matching,
         written.grasp,
         written.gates,

@@ -40,7 +40,9 @@ class HouseEyes:
     """The vision of slabcell.  What does not change from picture to picture is computed once."""
 
     def __init__(self, calibration: Calibration, recipe: Recipe) -> None:
+        """Open the recipe's promptable model, if it names one; raises ModelError now, not at the first cycle."""
         self._locator = Locator(calibration, recipe)
+        _ = self._locator.segmenter
 
     def locate(self, image: Picture, *, area_mm: Polygon, free_slots: Collection[int]) -> LocateResult:
         """Return what lies in an area of the table and fits the free slots."""

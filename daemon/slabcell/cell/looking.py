@@ -143,11 +143,12 @@ class Looking:
         except TimeoutError as error:
             raise LookError(Fault.VISION_SLOW, f"not ready after {timeout_s} s") from error
         except ImageError as error:
-            raise LookError(Fault.IMAGE_UNUSABLE, str(error)) from error
+            raise LookError(_fault_of(error, Fault.IMAGE_UNUSABLE), str(error)) from error
         except CalibrationError as error:
             raise LookError(Fault.CALIBRATION_MISSING, str(error)) from error
         except Exception as error:  # a picture that breaks the vision must not stop the cell; it has its own number
-            raise LookError(Fault.VISION_ERROR, f"{type(error).__name__}: {error}") from error
+            fault = _fault_of(error, Fault.VISION_ERROR)
+            raise LookError(fault, f"{type(error).__name__}: {error}") from error
 
     @contextmanager
     def _stage(self, cycle: CycleRecord, name: str) -> Generator[None]:
@@ -156,3 +157,9 @@ class Looking:
         duration_ms = (self._clock() - began_s) * 1000
         cycle.times_ms[name] = duration_ms
         self._emit(StageEnded(name, duration_ms))
+
+
+def _fault_of(error: Exception, otherwise: Fault) -> Fault:
+    """Return the fault whose number an error of the house carries."""
+    number = error.number if isinstance(error, SlabcellError) else 0
+    return Fault(number) if number in {int(fault) for fault in Fault} else otherwise

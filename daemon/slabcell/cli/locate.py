@@ -133,7 +133,8 @@ def locate_command(
 def _run(job: _Job, paths: list[Path]) -> Iterator[_Located]:
     """Yield the results in the order of the pictures; many pictures are done on all cores, with a progress bar."""
     cores = os.cpu_count() or 1
-    if len(paths) < PARALLEL_FROM or cores == 1:
+    # A promptable model uses all cores for one picture, and one of it in memory is enough.
+    if len(paths) < PARALLEL_FROM or cores == 1 or job.locator.segmenter is not None:
         yield from (_locate(job, path) for path in paths)
         return
     # Spawned, not forked: OpenCV's threads do not survive a fork.

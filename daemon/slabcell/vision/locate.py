@@ -4,7 +4,8 @@ import itertools
 import time
 from collections.abc import Collection
 from dataclasses import replace
-from typing import Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +24,9 @@ from slabcell.vision.prepared import Prepared
 from slabcell.vision.registration import register
 from slabcell.vision.result import LocateResult
 from slabcell.vision.segmentation import Segmentation, segment
+
+if TYPE_CHECKING:
+    from slabcell.vision.promptable.segmenter import PromptableSegmenter
 
 __all__ = ["Locator", "locate"]
 
@@ -67,6 +71,8 @@ class Locator(Prepared):
             gates += reference_gates(grey, self.table, self.recipe.gates)
         require(gates)
         segmentation, blobs, left_out = self._blobs(grey, image)
+        if self.segmenter is not None:
+            segmentation, blobs = self.segmenter.segment(image, segmentation, blobs, self)
         gates += blur_gate(segmentation.picture, segmentation.contrast, self.recipe.gates)
         require(gates)
         clock.stop("segment")
@@ -95,6 +101,17 @@ class Locator(Prepared):
             gates,
         )
 
+    @cached_property
+    def segmenter(self) -> "PromptableSegmenter | None":
+        """The promptable model of the recipe, opened when first asked for.  Raises ModelError."""
+        parameters = self.recipe.segmentation
+        if parameters.method != "promptable" or parameters.promptable is None:
+            return None
+        # Only a recipe that uses a model pays for importing what runs it.
+        from slabcell.vision.promptable.segmenter import PromptableSegmenter  # noqa: PLC0415
+
+        return PromptableSegmenter(parameters.promptable)
+
     def _blobs(self, grey: Grey, image: npt.NDArray[Any]) -> tuple[Segmentation, list[RawBlob], int]:
         """Return segmentation, blobs and how many were left out.
 
@@ -102,6 +119,8 @@ class Locator(Prepared):
         table, say, makes the table look like a dark slab.
         """
         parameters = self.recipe.segmentation
+        if parameters.promptable is not None and parameters.method == "promptable":
+            parameters = parameters.model_copy(update={"method": parameters.promptable.coarse})
         min_area_px = parameters.min_area_mm2 / self.plane.mm_per_px**2
         first = segment(grey, parameters, image)
         blobs, left_out = find_blobs(first.mask, min_area_px)

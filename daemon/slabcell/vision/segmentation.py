@@ -57,7 +57,12 @@ class Segmentation:
 
 
 def segment(grey: Grey, parameters: SegmentationParameters, image: npt.NDArray[Any] | None = None) -> Segmentation:
-    """Return the mask of the slabs in a grey picture; ``image`` is the same picture in colour, if there is one."""
+    """Return the mask of the slabs in a grey picture; ``image`` is the same picture in colour, if there is one.
+
+    For method promptable it is the mask that the prompts come from.
+    """
+    if parameters.method == "promptable" and parameters.promptable is not None:
+        parameters = parameters.model_copy(update={"method": parameters.promptable.coarse})
     picture = as_8_bit(grey)
     sample = picture[::SUBSAMPLE, ::SUBSAMPLE]
     histogram = histogram_of(sample)
