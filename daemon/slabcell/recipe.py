@@ -17,6 +17,9 @@ from slabcell.template import Template, load_template
 from slabcell.toml_file import TomlTable, read_toml
 
 __all__ = [
+    "BlobFeature",
+    "BlobFilter",
+    "BlobParameters",
     "ForbiddenZone",
     "GateParameters",
     "GraspParameters",
@@ -158,6 +161,80 @@ class SegmentationParameters(TomlTable):
         return self
 
 
+BlobFeature = Literal[
+    "area_mm2",
+    "perimeter_mm",
+    "x_mm",
+    "y_mm",
+    "orientation_deg",
+    "elongation",
+    "inertia",
+    "inertia_major_mm4",
+    "inertia_minor_mm4",
+    "x_min_mm",
+    "y_min_mm",
+    "x_max_mm",
+    "y_max_mm",
+    "length_mm",
+    "width_mm",
+    "rectangularity",
+    "roundness",
+    "convexity",
+    "holes",
+    "hole_area_mm2",
+    "hu1",
+    "hu2",
+    "hu3",
+    "hu4",
+    "hu5",
+    "hu6",
+    "hu7",
+    "u",
+    "v",
+]
+"""What of a blob can be filtered and sorted by."""
+
+
+class BlobFilter(TomlTable):
+    """``[[blobs.filters]]``: a blob outside of these limits is refused before matching."""
+
+    feature: BlobFeature = Field(description="what is looked at")
+    min: Annotated[float, Field(allow_inf_nan=False)] | None = Field(
+        default=None, description="least value that passes"
+    )
+    max: Annotated[float, Field(allow_inf_nan=False)] | None = Field(
+        default=None, description="greatest value that passes"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.min is None and self.max is None:
+            msg = "a filter needs the key 'min', 'max' or both"
+            raise ValueError(msg)
+        if self.min is not None and self.max is not None and self.min > self.max:
+            msg = f"nothing passes a filter from min = {self.min:g} to max = {self.max:g}"
+            raise ValueError(msg)
+        return self
+
+
+class BlobParameters(TomlTable):
+    """``[blobs]``: which features of blobs are reported, filtered and sorted by."""
+
+    report: bool = Field(default=False, description="measure the features of every blob and add them to the result")
+    filters: list[BlobFilter] = Field(
+        default_factory=list[BlobFilter], max_length=50, description="limits that a blob must keep, all of them"
+    )
+    sort_by: BlobFeature | None = Field(
+        default=None, description="order of blobs, parts and refused blobs in the result; none: largest first, by slot"
+    )
+    sort_order: Literal["ascending", "descending"] = Field(default="descending", description="direction of sort_by")
+
+    @property
+    def used(self) -> bool:
+        """Whether features have to be measured at all."""
+        return self.report or bool(self.filters) or self.sort_by is not None
+
+
 class MatchingParameters(TomlTable):
     """``[matching]``: which blob is which slot."""
 
@@ -249,6 +326,7 @@ class RecipeFile(TomlTable):
 
     template: TemplateReference
     segmentation: SegmentationParameters = SegmentationParameters()
+    blobs: BlobParameters = BlobParameters()
     matching: MatchingParameters = MatchingParameters()
     grasp: GraspParameters = GraspParameters()
     gates: GateParameters = GateParameters()
@@ -265,6 +343,7 @@ class Recipe:
     matching: MatchingParameters
     grasp: GraspParameters
     gates: GateParameters = field(default_factory=GateParameters)
+    blobs: BlobParameters = field(default_factory=BlobParameters)
 
     @classmethod
     def from_template(cls, template: Template, thickness_mm: float) -> Recipe:
@@ -300,4 +379,5 @@ def load_recipe(path: Path) -> Recipe:
         written.matching,
         written.grasp,
         written.gates,
+        written.blobs,
     )

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from slabcell.geometry import PlanarPose, Points, RigidTransform2D
+from slabcell.vision.features import BlobFeatures
 
 __all__ = ["GateReading", "ImagePose", "LocateResult", "LocatedPart", "RejectedBlob", "RejectionReason", "Sigma"]
 
@@ -21,6 +22,7 @@ class RejectionReason(StrEnum):
     TOUCHING = "touching"
     UNSURE = "unsure"
     NO_GRASP = "no_grasp"
+    FILTERED = "filtered"
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +56,7 @@ class LocatedPart:
     be turned to fit: then ``place.a_deg`` is that turn.  ``symmetry_order`` says how many rotations of the part look
     alike.  ``outline_px`` is the outline in the picture, shape (n, 2), for overlays.  ``kerf_mm`` is how far the slab's
     edge lies outside of the drawn one, all around; ``coverage`` the share of the outline that is where it should be.
+    ``blob`` is its index in the result's ``blobs``; a slab that was taken out of several that touch has none.
     """
 
     slot: int
@@ -68,11 +71,12 @@ class LocatedPart:
     outline_px: Points
     kerf_mm: float = 0.0
     coverage: float = 1.0
+    blob: int | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RejectedBlob:
-    """One blob that is not acted on, and why."""
+    """One blob that is not acted on, and why; ``blob`` is its index in the result's ``blobs``."""
 
     u: float
     v: float
@@ -80,6 +84,7 @@ class RejectedBlob:
     reason: RejectionReason
     detail: str
     outline_px: Points
+    blob: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +104,8 @@ class LocateResult:
     """Everything the vision found in one picture.  Stage times are in milliseconds, in the order of the stages.
 
     ``segmentation`` says how slabs were told from the table, ``implementation`` what measured the edges (``native`` or
-    ``numpy``), ``gates`` what the picture was like.
+    ``numpy``), ``gates`` what the picture was like.  ``blobs`` are the features of all blobs, or None where the recipe
+    does not ask for them.
     """
 
     parts: tuple[LocatedPart, ...]
@@ -109,10 +115,11 @@ class LocateResult:
     segmentation: str = ""
     implementation: str = ""
     gates: tuple[GateReading, ...] = ()
+    blobs: tuple[BlobFeatures, ...] | None = None
 
     def to_document(self, image: str) -> dict[str, object]:
         """Return the ``slabcell.locate/1`` object; ``image`` names the picture."""
-        return {
+        document: dict[str, object] = {
             "schema": "slabcell.locate/1",
             "image": image,
             "segmentation": self.segmentation,
@@ -134,6 +141,14 @@ class LocateResult:
             "empty_slots": list(self.empty_slots),
             "timing_ms": {stage: round(value, 3) for stage, value in self.timing_ms.items()},
         }
+        if self.blobs is not None:
+            slots = {part.blob: part.slot for part in self.parts}
+            reasons = {blob.blob: blob.reason.value for blob in self.rejected}
+            document["blobs"] = [
+                {**blob.to_document(), "slot": slots.get(index), "reason": reasons.get(index)}
+                for index, blob in enumerate(self.blobs)
+            ]
+        return document
 
 
 def _part(part: LocatedPart) -> dict[str, object]:
