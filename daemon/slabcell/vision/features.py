@@ -34,7 +34,7 @@ class BlobFeatures:
     principal moments.  ``inertia`` is the polar second moment over the squared area (1/2π for a disc, more else),
     ``inertia_major_mm4`` and ``inertia_minor_mm4`` the principal second moments.  ``x_min_mm`` ... ``y_max_mm`` is the
     bounding box along the table's axes, ``length_mm`` by ``width_mm`` the smallest turned one.  ``rectangularity``:
-    share of that box which is filled; ``roundness``: 4π·area/perimeter²; ``convexity``: area over that of the convex hull.
+    share of that box which is filled; ``roundness``: 4π·area/perimeter²; ``convexity``: area over the hull's.
     ``hu``: the seven moment invariants of the area.  ``u``, ``v``: the centroid in the picture, in pixels.
     """
 
