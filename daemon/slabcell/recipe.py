@@ -254,6 +254,13 @@ class MatchingParameters(TomlTable):
     min_score: Annotated[float, Field(ge=0, le=1)] = Field(
         default=0.8, description="score below which a blob is refused"
     )
+    min_lead_mm: Annotated[float, Field(ge=0, le=50)] = Field(
+        default=0.05,
+        description="root mean square distance by which a slab must fit better than as any other slot or rotation",
+    )
+    alike_mm: Annotated[float, Field(ge=0, le=50)] = Field(
+        default=0.05, description="slots or rotations whose outlines differ by less are the same: either is right"
+    )
     split_touching: bool = Field(
         default=True, description="look for the slots' outlines inside of blobs that are larger than every slot"
     )

@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from slabcell.geometry import Polygon, RigidTransform2D
+from slabcell.vision.matching import assign
 from slabcell.vision.outline import distance_to_outline
 
 __all__ = ["Explanation", "doubts", "kinds_of"]
@@ -50,42 +51,76 @@ def doubts(
     of_blob: dict[int, list[Explanation]] = {}
     for item in explanations:
         of_blob.setdefault(item.blob, []).append(item)
-    best: dict[tuple[int, int], float] = {}
+    square: dict[tuple[int, int], float] = {}
     for item in explanations:
-        key = (item.blob, kinds[item.slot])
-        best[key] = min(item.evidence_mm, best.get(key, np.inf))
-    owner = {slot: blob for blob, slot in assigned.items()}
+        key = (item.blob, item.slot)
+        square[key] = min(item.evidence_mm**2, square.get(key, np.inf))
+    alternatives = _Alternatives(square, assigned, kinds, free)
     found: dict[int, str] = {}
     for blob, slot in assigned.items():
-        own = [item for item in of_blob.get(blob, []) if item.slot == slot]
-        if not own:
+        if len(of_blob.get(blob, [])) < 2 or (blob, slot) not in square:
             continue
-        first = min(own, key=lambda item: item.evidence_mm)
+        first = min((item for item in of_blob[blob] if item.slot == slot), key=lambda item: item.evidence_mm)
         needed = max(min_lead_mm, SHARE_OF_RESIDUAL * first.evidence_mm)
-        for other in sorted(of_blob[blob], key=lambda item: item.evidence_mm):
-            if other.slot == slot:
-                turned = _turn(first, other, orders[slot])
-                if turned <= SAME_TURN_DEG:
-                    continue
-                lead = other.evidence_mm**2 - first.evidence_mm**2
-                what = f"lies in slot {slot} as it is or turned by {turned:.0f}°"
-            else:
-                if kinds[other.slot] == kinds[slot] or other.slot not in free:
-                    continue
-                lead = other.evidence_mm**2 - first.evidence_mm**2
-                partner = owner.get(other.slot)
-                if partner is not None:
-                    # The other slot has a slab: both would have to change places.
-                    mine, theirs = best.get((partner, kinds[slot])), best[(partner, kinds[other.slot])]
-                    if mine is None:
-                        continue
-                    lead += mine**2 - theirs**2
-                what = f"fits slot {slot} and slot {other.slot}"
-            apart = float(np.sqrt(max(lead, 0.0)))
-            if apart < needed:
-                found[blob] = f"{what} alike: {apart:.3f} mm tell them apart, {needed:.3f} mm are needed"
-                break
+        leads = [
+            (item.evidence_mm**2 - first.evidence_mm**2, f"lies in slot {slot} as it is or turned by {turned:.0f}°")
+            for item in of_blob[blob]
+            if item.slot == slot and (turned := _turn(first, item, orders[slot])) > SAME_TURN_DEG
+        ]
+        leads += [(lead, f"fits slot {slot} and slot {other}") for other, lead in alternatives.of(blob)]
+        if not leads:
+            continue
+        lead, what = min(leads)
+        apart = float(np.sqrt(max(lead, 0.0)))
+        if apart < needed:
+            found[blob] = f"{what} alike: {apart:.3f} mm tell them apart, {needed:.3f} mm are needed"
     return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Alternatives:
+    """Other ways to give all blobs of ``assigned`` a slot.  ``square``: mean square distance of blob and slot."""
+
+    square: Mapping[tuple[int, int], float]
+    assigned: Mapping[int, int]
+    kinds: Sequence[int]
+    free: Collection[int]
+
+    def of(self, blob: int) -> list[tuple[int, float]]:
+        """Return each slot of another outline that this blob may have instead, and what it costs all of them."""
+        own = self.assigned[blob]
+        others = [
+            slot
+            for (candidate, slot) in self.square
+            if candidate == blob and slot in self.free and self.kinds[slot] != self.kinds[own]
+        ]
+        return [(slot, lead) for slot in others if (lead := self._lead(blob, slot)) is not None]
+
+    def _lead(self, blob: int, slot: int) -> float | None:
+        """Return by how much the best assignment with this blob in that slot fits worse than the one that was made."""
+        owner = {taken: holder for holder, taken in self.assigned.items()}
+        lead = self.square[(blob, slot)] - self.square[(blob, self.assigned[blob])]
+        if slot not in owner:
+            return lead
+        # Whoever is driven out may drive out others: all that can be reached this way are assigned anew.
+        moved: list[int] = []
+        slots = {self.assigned[blob]}
+        waiting = [owner[slot]]
+        while waiting:
+            holder = waiting.pop()
+            moved.append(holder)
+            for candidate, other in self.square:
+                if candidate == holder and other in self.free and other != slot and other not in slots:
+                    slots.add(other)
+                    if other in owner and owner[other] not in (blob, *moved, *waiting):
+                        waiting.append(owner[other])
+        columns = sorted(slots)
+        cost = np.array([[self.square.get((holder, other), np.inf) for other in columns] for holder in moved])
+        pairs = assign(cost)
+        if len(pairs) < len(moved):
+            return None
+        now = sum(self.square.get((holder, self.assigned[holder]), 0.0) for holder in moved)
+        return lead + sum(float(cost[pair]) for pair in pairs) - now
 
 
 def _turn(first: Explanation, second: Explanation, order: int) -> float:
@@ -96,33 +131,42 @@ def _turn(first: Explanation, second: Explanation, order: int) -> float:
 
 
 def kinds_of(slots: Sequence[Polygon], tolerance_mm: float) -> tuple[int, ...]:
-    """Return a number for each slot: the same one for slots whose outlines are the same, turned or not."""
+    """Return a number for each slot: the same one for slots whose outlines are the same, turned or not.
+
+    ``tolerance_mm``: by how much corners may leave the other outline.
+    """
+    perimeters = np.array([slot.perimeter_mm for slot in slots])
+    areas = np.array([slot.area_mm2 for slot in slots])
+    # A corner off by the tolerance changes perimeter and area by no more than this.
+    slack = 2.0 * tolerance_mm * np.array([len(slot.vertices) for slot in slots])
+    strip = 2.0 * tolerance_mm * perimeters
     kinds: list[int] = []
-    models: list[Polygon] = []
-    for slot in slots:
-        same = next((kind for kind, model in enumerate(models) if _same_outline(slot, model, tolerance_mm)), None)
+    models: list[int] = []
+    for index, slot in enumerate(slots):
+        near = np.abs(perimeters[models] - perimeters[index]) <= np.maximum(slack[models], slack[index])
+        near &= np.abs(areas[models] - areas[index]) <= np.maximum(strip[models], strip[index])
+        same = next(
+            (int(kind) for kind in np.flatnonzero(near) if _same_outline(slot, slots[models[kind]], tolerance_mm)), None
+        )
         if same is None:
             same = len(models)
-            models.append(slot)
+            models.append(index)
         kinds.append(same)
     return tuple(kinds)
 
 
 def _same_outline(first: Polygon, second: Polygon, tolerance_mm: float) -> bool:
     """Return whether some rotation lays one outline over the other, without turning it over."""
-    slack = 2.0 * tolerance_mm
-    if abs(first.perimeter_mm - second.perimeter_mm) > slack * max(len(first.vertices), len(second.vertices)):
-        return False
-    if abs(first.area_mm2 - second.area_mm2) > slack * max(first.perimeter_mm, second.perimeter_mm):
-        return False
     corners, others = first.vertices - first.centroid, second.vertices - second.centroid
     radius, radii = np.hypot(*corners.T), np.hypot(*others.T)
     farthest = int(np.argmax(radius))
     start = np.arctan2(corners[farthest, 1], corners[farthest, 0])
     # The farthest corner of one lies over a corner of the other that is as far.
-    for index in np.flatnonzero(np.abs(radii - radius[farthest]) <= slack):
+    for index in np.flatnonzero(np.abs(radii - radius[farthest]) <= 2.0 * tolerance_mm):
         turn = float(np.rad2deg(np.arctan2(others[index, 1], others[index, 0]) - start))
         moved = RigidTransform2D(turn, 0.0, 0.0).apply(corners)
-        if distance_to_outline(moved, others).max() <= slack and distance_to_outline(others, moved).max() <= slack:
+        off = max(distance_to_outline(moved, others).max(), distance_to_outline(others, moved).max())
+        # The farthest corner alone sets the turn, and its own error turns all others as far.
+        if off <= 2.0 * tolerance_mm:
             return True
     return False

@@ -14,6 +14,7 @@ import shapely
 from slabcell.calibration.model import Calibration
 from slabcell.geometry import Polygon
 from slabcell.recipe import Recipe
+from slabcell.vision.blob_report import report_blobs
 from slabcell.vision.blobs import RawBlob, find_blobs
 from slabcell.vision.describe import describe_blobs
 from slabcell.vision.gates import blur_gate, light_gates, reference_gates, require
@@ -79,8 +80,9 @@ class Locator(Prepared):
         if area_mm is not None:
             blobs = self._inside(blobs, area_mm)
         described = describe_blobs(blobs, self.plane, without_walls=self.walls)
+        report = report_blobs(blobs, grey, segmentation.mask, self.plane, self.recipe.blobs)
         clock.stop("blobs")
-        outcome = Outcome(self, blobs, described, free)
+        outcome = Outcome(self, blobs, described, free, None if report is None else report.filtered)
         candidates = outcome.candidates()
         clock.stop("match")
         registrations = register(grey, self.plane, self.slots, self.pieces, candidates)
@@ -88,6 +90,9 @@ class Locator(Prepared):
         candidates, registrations = candidates + parted, registrations + found
         clock.stop("register")
         parts, rejected = outcome.decide(candidates, registrations)
+        features = None
+        if report is not None:
+            features, parts, rejected = report.arrange(parts, rejected)
         clock.stop("decide")
         filled = {part.slot for part in parts}
         note = f"; {left_out} specks left out" if left_out else ""
@@ -99,6 +104,7 @@ class Locator(Prepared):
             segmentation.description + note,
             implementation(),
             gates,
+            features,
         )
 
     @cached_property

@@ -1,12 +1,14 @@
 """What becomes of each blob of a picture?  Its slot and poses, or why it is refused."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from slabcell.geometry import PlanarPose, Points, RigidTransform2D, normalize_deg
+from slabcell.vision.ambiguity import Explanation, doubts
 from slabcell.vision.blobs import RawBlob
 from slabcell.vision.classic import classic_distances
 from slabcell.vision.describe import Shapes
@@ -30,15 +32,24 @@ WALL_SHARE = 0.35
 
 
 class Outcome:
-    """What becomes of each blob of one picture."""
+    """What becomes of each blob of one picture.  ``filtered``: blobs that the recipe's filters refuse, and why."""
 
-    def __init__(self, prepared: Prepared, blobs: list[RawBlob], shapes: Shapes, free: set[int]) -> None:
+    def __init__(
+        self,
+        prepared: Prepared,
+        blobs: list[RawBlob],
+        shapes: Shapes,
+        free: set[int],
+        filtered: Mapping[int, str] | None = None,
+    ) -> None:
         self._prepared = prepared
         self._blobs = blobs
+        # Those after the picture's own were taken out of several that touch.
+        self._own = len(blobs)
         self._shapes = shapes
         self._free = free
         self._areas: list[float] = shapes.area_mm2.tolist()
-        self._refused: dict[int, tuple[RejectionReason, str]] = {}
+        self._refused = {key: (RejectionReason.FILTERED, why) for key, why in (filtered or {}).items()}
         self._distance: npt.NDArray[np.float64] | None = None
 
     def candidates(self) -> list[Candidate]:
@@ -65,6 +76,8 @@ class Outcome:
         areas = prepared.shapes.area_mm2
         for index, blob in enumerate(self._blobs):
             area = float(self._shapes.area_mm2[index])
+            if index in self._refused:
+                continue
             if blob.touches_rim and prepared.recipe.segmentation.border == "reject":
                 self._refused[index] = (RejectionReason.TOUCHES_BORDER, "the rim of the picture cuts it")
             elif index in hopeful:
@@ -96,13 +109,14 @@ class Outcome:
             if len(registrations) + len(self._blobs) > MAX_PARTS:
                 break
             for found in split_blob(self._prepared, grey, mask, index, self._blobs[index]):
-                slot = self._prepared.slots[found.candidate.slot]
-                outline = self._prepared.plane.to_pixels(found.motion.apply(slot.vertices))
+                slot = self._prepared.slots[found[0].candidate.slot]
+                outline = self._prepared.plane.to_pixels(found[0].motion.apply(slot.vertices))
                 self._blobs.append(RawBlob(outline, 0.0, touches_rim=False))
                 self._areas.append(slot.area_mm2)
-                own = replace(found.candidate, blob=len(self._blobs) - 1)
-                candidates.append(own)
-                registrations.append(replace(found, candidate=own))
+                for item in found:
+                    own = replace(item.candidate, blob=len(self._blobs) - 1)
+                    candidates.append(own)
+                    registrations.append(replace(item, candidate=own))
                 self._refused.pop(index, None)
         return candidates, registrations
 
@@ -121,15 +135,20 @@ class Outcome:
         cost = np.full((len(self._blobs), len(prepared.slots)), np.inf)
         best: dict[tuple[int, int], Registration] = {}
         failed: dict[int, tuple[float, str]] = {}
+        explanations: list[Explanation] = []
         for candidate, registration in zip(candidates, registrations, strict=True):
             key = (candidate.blob, candidate.slot)
             why = self._fault(registration)
             if why:
                 if registration.evidence_mm < failed.get(candidate.blob, (math.inf, ""))[0]:
                     failed[candidate.blob] = (registration.evidence_mm, f"slot {candidate.slot}: {why}")
-            elif key not in best or registration.evidence_mm < best[key].evidence_mm:
+                continue
+            explanations.append(Explanation(*key, registration.motion.rotation_deg, registration.evidence_mm))
+            if key not in best or registration.evidence_mm < best[key].evidence_mm:
                 classic = self._distance is not None and candidate.blob < len(self._distance)
-                cost[key] = self._distance[key] if classic and self._distance is not None else registration.evidence_mm
+                # Squares, because their sum says how likely all of it together is.
+                square = registration.evidence_mm**2
+                cost[key] = self._distance[key] if classic and self._distance is not None else square
                 best[key] = registration
         possible = {blob for blob, _ in best}
         for index in failed:
@@ -139,10 +158,14 @@ class Outcome:
         allowed[:, [slot for slot in range(len(prepared.slots)) if slot not in self._free]] = np.inf
         chosen: list[tuple[Registration, Grasp]] = []
         placed: set[int] = set()
-        for blob, slot in assign(allowed):
+        assigned = dict(assign(allowed))
+        unsure = self._doubts(explanations, assigned)
+        for blob, slot in assigned.items():
             placed.add(blob)
             grasp = prepared.grasps[slot]
-            if grasp.point is None:
+            if blob in unsure:
+                self._refused[blob] = (RejectionReason.UNSURE, unsure[blob])
+            elif grasp.point is None:
                 self._refused[blob] = (RejectionReason.NO_GRASP, f"slot {slot}: {grasp.refusal}")
             else:
                 chosen.append((best[(blob, slot)], grasp))
@@ -153,6 +176,20 @@ class Outcome:
                 f"fits slot {slots}, which is filled or goes to a slab that fits better",
             )
         return sorted(self._parts(chosen), key=lambda part: part.slot), self._rejected()
+
+    def _doubts(self, explanations: list[Explanation], assigned: dict[int, int]) -> dict[int, str]:
+        """Return for each blob of which another slot or rotation explains as much why it is refused."""
+        if len(explanations) == len(assigned):
+            return {}
+        prepared = self._prepared
+        return doubts(
+            explanations,
+            assigned,
+            kinds=prepared.kinds,
+            orders=prepared.orders,
+            free=self._free,
+            min_lead_mm=prepared.recipe.matching.min_lead_mm,
+        )
 
     def _fault(self, registration: Registration) -> str:
         """Return why a registration is not accepted, or nothing."""
@@ -225,7 +262,11 @@ class Outcome:
             outline_px=outline_px,
             kerf_mm=registration.kerf_mm,
             coverage=registration.coverage,
+            blob=self._number(registration.candidate.blob),
         )
+
+    def _number(self, blob: int) -> int | None:
+        return blob if blob < self._own else None
 
     def _rejected(self) -> list[RejectedBlob]:
         rejected: list[RejectedBlob] = []
@@ -233,7 +274,8 @@ class Outcome:
             reason, detail = self._refused[index]
             u, v = self._blobs[index].polygon.mean(axis=0)
             area = self._areas[index]
-            rejected.append(RejectedBlob(float(u), float(v), area, reason, detail, self._blobs[index].polygon))
+            outline = self._blobs[index].polygon
+            rejected.append(RejectedBlob(float(u), float(v), area, reason, detail, outline, self._number(index)))
         return rejected
 
 

@@ -6,6 +6,7 @@ from functools import cached_property
 from slabcell.calibration.model import Calibration
 from slabcell.geometry import Polygon
 from slabcell.recipe import Recipe
+from slabcell.vision.ambiguity import kinds_of
 from slabcell.vision.describe import MIN_WALL_PX, Shapes, describe_slots, widest_wall_px
 from slabcell.vision.edges import EdgePieces, cut_edges
 from slabcell.vision.grasp import Grasp, choose_grasp
@@ -14,9 +15,9 @@ from slabcell.vision.symmetry import symmetry_order
 
 __all__ = ["Prepared"]
 
-# Rotations count as alike when no corner leaves the outline by more than this, in pixels or in mm, whichever is more.
+# Outlines count as alike when no corner leaves the other by more than this in pixels, or by the recipe's alike_mm,
+# whichever is more.
 ALIKE_PX = 0.15
-ALIKE_MM = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,11 +53,19 @@ class Prepared:
         """Measurable pieces of the slots' outlines."""
         return tuple(cut_edges(slot, self.plane.mm_per_px) for slot in self.slots)
 
+    @property
+    def _alike_mm(self) -> float:
+        return max(self.recipe.matching.alike_mm, ALIKE_PX * self.plane.mm_per_px)
+
     @cached_property
     def orders(self) -> tuple[int, ...]:
         """Rotational symmetry of each slot."""
-        tolerance = max(ALIKE_MM, ALIKE_PX * self.plane.mm_per_px)
-        return tuple(symmetry_order(slot, tolerance) for slot in self.slots)
+        return tuple(symmetry_order(slot, self._alike_mm) for slot in self.slots)
+
+    @cached_property
+    def kinds(self) -> tuple[int, ...]:
+        """A number for each slot; slots of the same outline have the same."""
+        return kinds_of(self.slots, self._alike_mm)
 
     @cached_property
     def grasps(self) -> tuple[Grasp, ...]:

@@ -7,7 +7,7 @@ blob; what is explained by half is not picked.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -41,6 +41,8 @@ ROUGH_PX, FINE_PX = 5.0, 3.0
 ROUGH_INSIDE, FINE_INSIDE, MIN_FREE = 0.85, 0.95, 0.3
 # Share of two slabs' area that may overlap, and how well the slabs together must fill the blob.
 MAX_OVERLAP, MAX_UNFILLED = 0.02, 0.03
+# Share of a slab's area from which on it lies in the place of another.
+SAME_PLACE = 0.8
 # What is seen of a slab is only a part of its outline: that part must fit better than a whole one would have to.
 MIN_COVERAGE, RESIDUAL_SHARE = 0.98, 0.5
 
@@ -59,8 +61,11 @@ class _Guesses:
         return [int(slot) for slot in self.slot]
 
 
-def split_blob(prepared: Prepared, grey: Grey, mask: Mask, index: int, blob: RawBlob) -> list[Registration]:
-    """Return the slabs that make up blob number ``index``, registered, or nothing where they do not explain it."""
+def split_blob(prepared: Prepared, grey: Grey, mask: Mask, index: int, blob: RawBlob) -> list[list[Registration]]:
+    """Return the slabs that make up blob number ``index``, or nothing where they do not explain it.
+
+    Each slab is a list: how it is registered, and then what else could lie in that place, another slot or rotation.
+    """
     rings = Rings.of([prepared.plane.from_pixels(blob.polygon)]).counter_clockwise()
     rings = rings.offset_outward(0.5 * prepared.plane.mm_per_px)
     guesses = _guess(rings.points, prepared)
@@ -169,8 +174,8 @@ def _explain(
     slots: npt.NDArray[np.intp],
     registered: Sequence[Registration],
     area_mm2: float,
-) -> list[Registration]:
-    """Return the registrations that fill the blob together, with their slots' own numbers."""
+) -> list[list[Registration]]:
+    """Return the registrations that fill the blob, under their slots' own numbers, each with what else fits there."""
     limits = prepared.recipe.matching
     numbers = [int(slot) for slot in slots]
     pivots = [prepared.slots[slot].centroid for slot in numbers]
@@ -178,26 +183,24 @@ def _explain(
     turns = np.deg2rad([item.motion.rotation_deg for item in registered])
     inside, free, _ = _look(prepared, mask, _Guesses(slots, turns, np.array(places)), FINE_PX)
     order = sorted(range(len(registered)), key=lambda index: -registered[index].coverage * free[index])
-    chosen: list[Registration] = []
+    order = [index for index in order if inside[index] >= FINE_INSIDE and free[index] >= MIN_FREE]
+    chosen: list[list[Registration]] = []
     laid: list[Polygon] = []
     taken: set[int] = set()
     for index in order:
         item, slot = registered[index], numbers[index]
-        if inside[index] < FINE_INSIDE or free[index] < MIN_FREE or slot in taken:
-            continue
         if item.coverage < MIN_COVERAGE or item.residual_mm > RESIDUAL_SHARE * limits.max_residual_mm:
             continue
         polygon = prepared.slots[slot].transformed(item.motion)
-        if any(_overlap(polygon, other) > MAX_OVERLAP * polygon.area_mm2 for other in laid):
-            continue
-        own = Candidate(item.candidate.blob, slot, item.candidate.motion, item.candidate.distance_mm)
-        chosen.append(
-            Registration(
-                own, item.motion, item.kerf_mm, item.residual_mm, item.coverage, item.evidence_mm, item.covariance
-            )
-        )
-        laid.append(polygon)
-        taken.add(slot)
+        own = replace(item, candidate=replace(item.candidate, slot=slot))
+        covered = [_overlap(polygon, other) / polygon.area_mm2 for other in laid]
+        place = next((number for number, share in enumerate(covered) if share > SAME_PLACE), None)
+        if place is not None:
+            chosen[place].append(own)
+        elif slot not in taken and all(share <= MAX_OVERLAP for share in covered):
+            chosen.append([own])
+            laid.append(polygon)
+            taken.add(slot)
     # The walls that are seen make the blob larger than the faces: by their width, over about half of the outline.
     walls = 0.5 * prepared.widest_wall_px * prepared.plane.mm_per_px * sum(item.perimeter_mm for item in laid) / np.pi
     filled = sum(item.area_mm2 for item in laid)
