@@ -1,6 +1,8 @@
 """What does the cell know of the present job?  The job, its results in the ledger, and every change to them told on.
 
-Each change is in the ledger when the call returns.
+Each change is in the ledger when the call returns, and each costs one fsync.  Nobody else writes to the ledger of a
+running cell, so what was read or written is known from then on; only a result that is unknown is looked up every time:
+a person may have settled it by hand.
 """
 
 from __future__ import annotations
@@ -8,6 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 from slabcell.catalogue import Fault
 from slabcell.cell.events import Event, JobBegan, JobEnded, ResultMoved, Verified
@@ -31,7 +34,9 @@ __all__ = ["JobDesk", "Slots"]
 FEWEST_MEASURED = 3
 
 _O = OfferState
-_OPEN_STATES = frozenset({_O.PLANNED, _O.OFFERED, _O.ACCEPTED, _O.GRASPED})
+_NOT_BEGUN = frozenset({_O.PLANNED, _O.OFFERED})
+_OPEN_STATES = _NOT_BEGUN | HAND_STATES
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +56,7 @@ class JobDesk:
         self.finished: Job | None = None
         self._forgive = False
         self._forgiven_up_to = 0
+        self._known: dict[int, OfferRecord] | None = None
         self._ledger = ledger
         self._recipe = recipe
         self._emit = emit
@@ -86,24 +92,20 @@ class JobDesk:
             self.job = None
         return self.job
 
-    async def begin(self, request: Request, *, correct_up_to_mm: float = 0.0) -> Job:
-        """Begin a job, laid otherwise by what the last one of its template was off as a whole, up to a limit.
+    async def draft(self, request: Request, *, correct_up_to_mm: float = 0.0) -> Job:
+        """Return a job that is not begun yet: `write_cycle` begins it, with its first results.
 
-        Fewer than three measured slabs say nothing about the whole.
+        It is laid otherwise by what the last one of its template was off as a whole, up to a limit.  Fewer than three
+        measured slabs say nothing about the whole.
         """
         recipe = self._recipe
         sha = recipe.template.sha256
-
-        def work(book: LedgerFile) -> Job:
-            number, dx_mm, dy_mm = book.systematic_error(sha)
+        correction = (0.0, 0.0)
+        if correct_up_to_mm > 0.0:
+            number, dx_mm, dy_mm = await self._ledger.run(lambda book: book.systematic_error(sha))
             limit = correct_up_to_mm if number >= FEWEST_MEASURED else 0.0
             correction = max(-limit, min(limit, -dx_mm)), max(-limit, min(limit, -dy_mm))
-            return book.begin_job(request.job_id, recipe.name, sha, len(recipe.template.slots), correction)
-
-        self.job = await self._ledger.run(work)
-        self.finished = None
-        self._emit(JobBegan(self.job))
-        return self.job
+        return Job(0, request.job_id, recipe.name, sha, self.slot_count, JobState.OPEN, correction)
 
     def still_lies(self) -> Job | None:
         """Take the finished job for the present one again: it lies there still.  Returns it, or None."""
@@ -116,10 +118,11 @@ class JobDesk:
         job_id = self.job.job_id if self.job is not None else None
 
         def work(book: LedgerFile) -> tuple[int, Settlement]:
-            session = book.new_session(f"HELLO {request.sequence}")
-            return session, settle(book, job_id, request, session)
+            with book.step():
+                session = book.new_session(f"HELLO {request.sequence}")
+                return session, settle(book, job_id, request, session)
 
-        session, outcome = await self._ledger.run(work)
+        session, outcome = await self._write(work)
         for offer in outcome.moved:
             self._emit(ResultMoved(offer))
         if self.job is not None and self.job.state is not JobState.OPEN:
@@ -131,7 +134,16 @@ class JobDesk:
         if self.job is None:
             return []
         job_id = self.job.job_id
-        return await self._ledger.run(lambda book: book.offers(job_id))
+        known = self._known
+        if known is None or any(offer.job_id != job_id or offer.state is _O.UNKNOWN for offer in known.values()):
+            found = await self._ledger.run(lambda book: book.offers(job_id))
+            known = self._known = {offer.result_id: offer for offer in found}
+        return list(known.values())
+
+    async def _write(self, work: Callable[[LedgerFile], _T]) -> _T:
+        """Change the ledger; what it then holds has to be read again, unless the caller knows."""
+        self._known = None
+        return await self._ledger.run(work)
 
     async def open_offers(self) -> list[OfferRecord]:
         """Return the results that are still to be fetched or finished."""
@@ -145,7 +157,7 @@ class JobDesk:
         failed = (offer for offer in offers if offer.state is _O.FAILED and offer.result_id > self._forgiven_up_to)
         failures = Counter(offer.slot for offer in failed)
         taken = {offer.slot for offer in offers if offer.state in TAKEN_STATES}
-        every = range(self.job.slots if self.job is not None else 0)
+        every = range(self.slot_count)
         return Slots(
             laid=tuple(sorted(offer.slot for offer in offers if offer.state is _O.PLACED)),
             free=tuple(slot for slot in every if slot not in taken and failures[slot] < attempts),
@@ -164,7 +176,7 @@ class JobDesk:
             known = f"is {found.state}" if found else "is not of the present job"
             msg = f"result {result_id} {known}: only an unknown result of the present job can be resolved"
             raise LedgerError(msg, number=Fault.LEDGER_ERROR)
-        moved = await self._ledger.run(lambda book: book.move(result_id, state, reason="seen by a person"))
+        moved = await self._write(lambda book: book.move(result_id, state, reason="seen by a person"))
         self._emit(ResultMoved(moved))
         return moved
 
@@ -174,13 +186,34 @@ class JobDesk:
 
     async def find(self, result_id: int) -> OfferRecord | None:
         """Return a result of the job, or None."""
-        offer = await self._ledger.run(lambda book: book.offer(result_id))
-        return offer if offer is not None and self.job is not None and offer.job_id == self.job.job_id else None
+        return next((offer for offer in await self.offers() if offer.result_id == result_id), None)
 
-    async def write_cycle(self, request: Request, pairs: Sequence[Pair]) -> list[OfferRecord]:
-        """Write the results of a trigger."""
-        job_id = self.job.job_id if self.job is not None else (await self.begin(request)).job_id
-        return await self._ledger.run(lambda book: book.record_cycle(job_id, request.session, request.sequence, pairs))
+    async def write_cycle(self, request: Request, job: Job, pairs: Sequence[Pair]) -> list[OfferRecord]:
+        """Write the results of a trigger, the first as offered: the robot asks for it next; begin a drafted job.
+
+        All of it is one step of the ledger.
+        """
+        drafted = job.job_id == 0
+        known = self._known if self._known is not None else ({} if drafted else None)
+
+        def work(book: LedgerFile) -> tuple[Job, list[OfferRecord]]:
+            with book.step():
+                begun = job
+                if drafted:
+                    about = (job.robot_job, job.recipe, job.template_sha256, job.slots, job.correction_mm)
+                    begun = book.begin_job(*about)
+                session, sequence = request.session, request.sequence
+                return begun, book.record_cycle(begun.job_id, session, sequence, pairs, offer_first=True)
+
+        begun, written = await self._write(work)
+        if drafted:
+            self.job, self.finished, known = begun, None, {}
+            self._emit(JobBegan(begun))
+        if known is not None:
+            self._known = known | {offer.result_id: offer for offer in written}
+        if written:
+            self._emit(ResultMoved(written[0]))
+        return written
 
     async def record(self, placements: tuple[PlacementRecord, ...]) -> None:
         """Write what was measured of the job, which goes on."""
@@ -189,33 +222,43 @@ class JobDesk:
             await self._ledger.run(lambda book: book.record_placements(job_id, placements))
 
     async def move(
-        self, offer: OfferRecord, state: OfferState, request: Request, reason: str = "", fault: Fault | None = None
+        self,
+        offer: OfferRecord,
+        state: OfferState,
+        request: Request,
+        reason: str = "",
+        fault: Fault | None = None,
+        *,
+        void_others: str = "",
     ) -> OfferRecord:
-        """Write a result's new state."""
-        moved = await self._ledger.run(
-            lambda book: book.move(
-                offer.result_id,
-                state,
-                session=request.session,
-                sequence=request.sequence,
-                reason=reason,
-                fault=fault or 0,
-            )
-        )
-        self._emit(ResultMoved(moved))
-        return moved
+        """Write a result's new state; with ``void_others`` the reason why what is not begun with is taken back too."""
+        known = self._known
+
+        def work(book: LedgerFile) -> list[OfferRecord]:
+            with book.step():
+                by = {"session": request.session, "sequence": request.sequence}
+                moved = book.move(offer.result_id, state, **by, reason=reason, fault=fault or 0)
+                taken_back = book.void(offer.job_id, session=request.session, reason=void_others) if void_others else []
+                return [moved, *(found for number in taken_back if (found := book.offer(number)) is not None)]
+
+        moved = await self._write(work)
+        if known is not None:
+            self._known = known | {item.result_id: item for item in moved}
+        for item in moved:
+            self._emit(ResultMoved(item))
+        return moved[0]
 
     async def void(self, reason: str, *, session: int = 0) -> None:
         """Take back what the robot has not begun with."""
-        if self.job is None:
+        job = self.job
+        if job is None or not any(offer.state in _NOT_BEGUN for offer in await self.offers()):
             return
-        job_id = self.job.job_id
 
         def work(book: LedgerFile) -> list[OfferRecord]:
-            taken_back = set(book.void(job_id, session=session, reason=reason))
-            return [offer for offer in book.offers(job_id) if offer.result_id in taken_back]
+            taken_back = set(book.void(job.job_id, session=session, reason=reason))
+            return [offer for offer in book.offers(job.job_id) if offer.result_id in taken_back]
 
-        for offer in await self._ledger.run(work):
+        for offer in await self._write(work):
             self._emit(ResultMoved(offer))
 
     async def complete(self, placements: tuple[PlacementRecord, ...]) -> Job | None:
@@ -225,10 +268,12 @@ class JobDesk:
             return None
 
         def work(book: LedgerFile) -> None:
-            book.record_placements(job.job_id, placements)
-            book.end_job(job.job_id, JobState.COMPLETE)
+            with book.step():
+                book.record_placements(job.job_id, placements)
+                book.end_job(job.job_id, JobState.COMPLETE)
+            book.tidy()
 
-        await self._ledger.run(work)
+        await self._write(work)
         self.job = self.finished = replace(job, state=JobState.COMPLETE)
         self._emit(Verified(self.job, placements, final=True))
         self._emit(JobEnded(self.job))
@@ -236,12 +281,14 @@ class JobDesk:
 
     async def _abandon(self, job: Job, reason: str) -> None:
         def work(book: LedgerFile) -> None:
-            book.void(job.job_id, reason=reason)
-            for offer in book.offers(job.job_id):
-                if offer.state in HAND_STATES:
-                    book.move(offer.result_id, _O.UNKNOWN, reason=reason)
-            book.end_job(job.job_id, JobState.ABANDONED)
+            with book.step():
+                book.void(job.job_id, reason=reason)
+                for offer in book.offers(job.job_id):
+                    if offer.state in HAND_STATES:
+                        book.move(offer.result_id, _O.UNKNOWN, reason=reason)
+                book.end_job(job.job_id, JobState.ABANDONED)
+            book.tidy()
 
-        await self._ledger.run(work)
+        await self._write(work)
         self.job = None
         self._emit(JobEnded(replace(job, state=JobState.ABANDONED)))

@@ -116,8 +116,7 @@ class Execution:
                 return occupied
             settings = self._settings
             limit_mm = settings.tolerance_mm if settings.correct_systematic else 0.0
-            job = await self._desk.begin(request, correct_up_to_mm=limit_mm)
-            cycle.job_id = job.job_id
+            job = await self._desk.draft(request, correct_up_to_mm=limit_mm)
         slots = await self._desk.slots(self._settings.attempts_per_slot)
         cycle.free_slots, cycle.laid_slots = slots.free, slots.laid
         if len(slots.laid) == job.slots:
@@ -131,7 +130,8 @@ class Execution:
         cycle.correction_mm = job.correction_mm
         plan = await self._looking.locate(frame, slots, cycle)
         began_s = self._clock()
-        written = await self._desk.write_cycle(request, plan.pairs)
+        written = await self._desk.write_cycle(request, job, plan.pairs)
+        cycle.job_id = self._desk.job.job_id if self._desk.job else 0
         cycle.times_ms["ledger"] = (self._clock() - began_s) * 1000
         cycle.offers = tuple(written)
         if not written:

@@ -57,11 +57,10 @@ class Handover:
         if offer.state is not state:
             if offer.state not in _UNDER_WAY or (offer.state, state) == (_O.GRASPED, _O.ACCEPTED):
                 return refusal(Fault.ROBOT_ACKNOWLEDGES_UNKNOWN)
-            await self._desk.move(offer, state, request, reason, fault)
+            disturbed = "the table may be disturbed" if said in _DISTURBS else ""
+            await self._desk.move(offer, state, request, reason, fault, void_others=disturbed)
             if fault is not None:
                 self._alarms.come(fault, f"result {offer.result_id}, slot {offer.slot}: {reason}")
-            if said in _DISTURBS:
-                await self._desk.void("the table may be disturbed", session=request.session)
         return Reply(left=len(await self._desk.open_offers()))
 
     async def drop_unfinished(self, request: Request) -> None:

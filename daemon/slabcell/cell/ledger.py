@@ -1,9 +1,10 @@
 """What was offered to the robot, and what became of it?  The durable record, in SQLite.
 
 `LedgerFile` is the file itself, plain and blocking; `Ledger` runs it in a thread of its own for asyncio.  Every method
-that writes is one transaction, and with WAL and ``synchronous=FULL`` one transaction is one fsync.  What must hold is
-in the schema, not only in the code: result ids strictly increase over restarts (AUTOINCREMENT), a slot of a job has at
-most one slab that is laid, under way or unresolved, and at most one slab at a time is in the robot's hand.
+that writes is one transaction, and with WAL and ``synchronous=FULL`` one transaction is one fsync; several within one
+`LedgerFile.step` are one transaction together.  What must hold is in the schema, not only in the code: result ids
+strictly increase over restarts (AUTOINCREMENT), a slot of a job has at most one slab that is laid, under way or
+unresolved, and at most one slab at a time is in the robot's hand.
 
 Source of the durability rules: SQLite documentation, "PRAGMA synchronous" and "Write-Ahead Logging".
 """
@@ -15,7 +16,7 @@ import sqlite3
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TypeVar, cast
@@ -29,6 +30,8 @@ __all__ = ["Ledger", "LedgerError", "LedgerFile"]
 
 APPLICATION_ID = 0x736C6162  # "slab": tells our file from any other SQLite file
 BUSY_TIMEOUT_S = 2.0
+CHECKPOINT_PAGES = 8000
+"""The log is folded into the file when a job ends (`LedgerFile.tidy`); this bounds it (32 MiB) if none ever does."""
 
 _T = TypeVar("_T")
 _O = OfferState
@@ -79,9 +82,10 @@ class LedgerFile:
                 raise LedgerError(msg, number=Fault.LEDGER_DAMAGED)
             self._db.execute("PRAGMA journal_mode=WAL")
             self._db.execute("PRAGMA synchronous=FULL")
+            self._db.execute(f"PRAGMA wal_autocheckpoint={CHECKPOINT_PAGES}")
             self._db.execute("PRAGMA foreign_keys=ON")
             for step, script in enumerate(MIGRATIONS[version:], start=version + 1):
-                with self._transaction():
+                with self.step():
                     for statement in script:
                         self._db.execute(statement)
                     self._db.execute(f"PRAGMA application_id={APPLICATION_ID}")
@@ -94,8 +98,14 @@ class LedgerFile:
         self._db.close()
 
     @contextmanager
-    def _transaction(self) -> Generator[None]:
-        """One durable step: all of it, or nothing."""
+    def step(self) -> Generator[None]:
+        """One durable step, one fsync: all of what is written within, or nothing.
+
+        A step within a step is part of it.
+        """
+        if self._db.in_transaction:
+            yield
+            return
         try:
             self._db.execute("BEGIN IMMEDIATE")
             yield
@@ -107,6 +117,10 @@ class LedgerFile:
                 raise named(self.path, error) from error
             raise
 
+    def tidy(self) -> None:
+        """Fold the write-ahead log into the file, which costs syncs of its own; for when nobody waits."""
+        self._rows("PRAGMA wal_checkpoint(PASSIVE)")
+
     def _rows(self, query: str, *values: object) -> list[tuple[object, ...]]:
         try:
             return self._db.execute(query, values).fetchall()
@@ -115,13 +129,13 @@ class LedgerFile:
 
     def new_session(self, cause: str) -> int:
         """Return a session number larger than any before."""
-        with self._transaction():
+        with self.step():
             cursor = self._db.execute("INSERT INTO sessions (began_utc, cause) VALUES (?, ?)", (self._now(), cause))
             return cast("int", cursor.lastrowid)
 
     def keep_above(self, result_id: int) -> None:
         """See to it that every result id to come is larger than ``result_id``, which a robot remembers."""
-        with self._transaction():
+        with self.step():
             self._db.execute(
                 "INSERT INTO sqlite_sequence (name, seq) SELECT 'offers', 0"
                 " WHERE NOT EXISTS (SELECT 1 FROM sqlite_sequence WHERE name = 'offers')"
@@ -145,7 +159,7 @@ class LedgerFile:
         correction_mm: tuple[float, float] = (0.0, 0.0),
     ) -> Job:
         """Return a new open job."""
-        with self._transaction():
+        with self.step():
             cursor = self._db.execute(
                 "INSERT INTO jobs (robot_job, recipe, template_sha256, slots, state, began_utc, correction_x_mm,"
                 " correction_y_mm) VALUES (?, ?, ?, ?, 'open', ?, ?, ?)",
@@ -156,20 +170,26 @@ class LedgerFile:
 
     def end_job(self, job_id: int, state: JobState) -> None:
         """Close a job."""
-        with self._transaction():
+        with self.step():
             self._db.execute(
                 "UPDATE jobs SET state = ?, ended_utc = ? WHERE job_id = ?", (state.value, self._now(), job_id)
             )
 
-    def record_cycle(self, job_id: int, session: int, sequence: int, pairs: Sequence[Pair]) -> list[OfferRecord]:
-        """Write one cycle and its results, in the order in which they shall be laid; return them with their ids."""
-        with self._transaction():
+    def record_cycle(
+        self, job_id: int, session: int, sequence: int, pairs: Sequence[Pair], *, offer_first: bool = False
+    ) -> list[OfferRecord]:
+        """Write one cycle and its results, in the order in which they shall be laid; return them with their ids.
+
+        With ``offer_first`` the first one is written as offered at once: the robot may hear of it from now on.
+        """
+        with self.step():
             cursor = self._db.execute(
                 "INSERT INTO cycles (job_id, session, trigger_sequence, began_utc) VALUES (?, ?, ?, ?)",
                 (job_id, session, sequence, self._now()),
             )
             cycle_id = cast("int", cursor.lastrowid)
             offers: list[OfferRecord] = []
+            now = self._now()
             for index, pair in enumerate(pairs):
                 cursor = self._db.execute(
                     "INSERT INTO offers (job_id, cycle_id, idx, slot, state, score, reason, changed_utc,"
@@ -177,9 +197,9 @@ class LedgerFile:
                     " place_x, place_y, place_z, place_a, place_b, place_c)"
                     " VALUES (?, ?, ?, ?, 'planned', ?, '', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
                     (
-                        *(job_id, cycle_id, index, pair.slot, pair.score, self._now()),
-                        *astuple(pair.pick),
-                        *astuple(pair.place),
+                        *(job_id, cycle_id, index, pair.slot, pair.score, now),
+                        *pair.pick.as_tuple(),
+                        *pair.place.as_tuple(),
                     ),
                 )
                 result_id = cast("int", cursor.lastrowid)
@@ -188,6 +208,9 @@ class LedgerFile:
                         result_id, job_id, cycle_id, index, pair.slot, _O.PLANNED, pair.score, pair.pick, pair.place, ""
                     )
                 )
+            if offer_first and offers:
+                self._write_state(offers[0].result_id, _O.OFFERED, session, sequence, "", 0)
+                offers[0] = replace(offers[0], state=_O.OFFERED)
         return offers
 
     def move(
@@ -215,7 +238,7 @@ class LedgerFile:
         if state not in STEPS[before.state]:
             msg = f"result {result_id} is {before.state} and cannot become {state}"
             raise LedgerError(msg, number=Fault.LEDGER_ERROR)
-        with self._transaction():
+        with self.step():
             self._write_state(result_id, state, session, sequence, reason, fault)
         after = self.offer(result_id)
         assert after is not None  # noqa: S101  (written in this thread a line above)
@@ -230,7 +253,7 @@ class LedgerFile:
             )
         ]
         if ids:
-            with self._transaction():
+            with self.step():
                 for result_id in ids:
                     self._write_state(result_id, _O.VOID, session, 0, reason, 0)
         return ids
@@ -267,7 +290,7 @@ class LedgerFile:
 
     def record_placements(self, job_id: int, placements: Sequence[PlacementRecord]) -> None:
         """Write how the slabs of a job lie."""
-        with self._transaction():
+        with self.step():
             self._db.executemany(
                 "INSERT INTO placements (job_id, slot, found, dx_mm, dy_mm, da_deg, residual_mm, at_utc)"
                 " VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
@@ -313,7 +336,7 @@ class LedgerFile:
 
     def fill(self, tables: Mapping[str, list[dict[str, object]]], counters: Mapping[str, int]) -> None:
         """Write rows and counters of an export into a ledger that is still empty, in one transaction."""
-        with self._transaction():
+        with self.step():
             for table in TABLES:
                 known = {str(row[1]) for row in self._db.execute(f"PRAGMA table_info({table})")}
                 for row in tables[table]:

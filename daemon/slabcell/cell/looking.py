@@ -20,6 +20,7 @@ from slabcell.cell.planning import Plan, Planner
 from slabcell.cell.records import PlacementRecord
 from slabcell.cell.settings import CellSettings
 from slabcell.errors import CalibrationError, ImageError, SlabcellError
+from slabcell.vision.result import LocateResult
 from slabcell_drivers.camera.protocol import (
     Camera,
     CameraBusy,
@@ -106,21 +107,22 @@ class Looking:
 
     async def locate(self, frame: ImageFrame, slots: Slots, cycle: CycleRecord) -> Plan:
         """Return what can be laid into the free slots; the cycle gets the vision's result.  Raises `LookError`."""
-        result = await self._compute(
-            lambda: self._eyes.locate(frame.pixels, area_mm=self._settings.pick_area, free_slots=slots.free)
-        )
+
+        def work() -> tuple[LocateResult, Plan, float]:
+            found = self._eyes.locate(frame.pixels, area_mm=self._settings.pick_area, free_slots=slots.free)
+            began_s = self._clock()
+            planned = self._planner.plan(found.parts, laid=slots.laid, correction_mm=cycle.correction_mm)
+            return found, planned, (self._clock() - began_s) * 1000
+
+        result, plan, plan_ms = await self._compute(work)
         cycle.result = result
-        for stage, duration_ms in result.timing_ms.items():
+        for stage, duration_ms in [*result.timing_ms.items(), ("plan", plan_ms)]:
             if stage != "total":
                 cycle.times_ms[stage] = duration_ms
                 self._emit(StageEnded(stage, duration_ms))
         self._emit(PartsLocated(result))
-        with self._stage(cycle, "plan"):
-            outcome = await self._compute(
-                lambda: self._planner.plan(result.parts, laid=slots.laid, correction_mm=cycle.correction_mm)
-            )
-        cycle.refused = outcome.refused
-        return outcome
+        cycle.refused = plan.refused
+        return plan
 
     async def measure(
         self, frame: ImageFrame, slots: Collection[int], cycle: CycleRecord

@@ -9,17 +9,19 @@ hinder a tool that touches their upper faces, and everything else that may stand
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import product
 
 import numpy as np
 import numpy.typing as npt
-import shapely
 
 from slabcell.catalogue import Fault
 from slabcell.cell.laying import LayingOrder
 from slabcell.cell.records import Pair
 from slabcell.cell.settings import CellSettings
-from slabcell.geometry import PlanarPose, Points, RigidTransform2D, normalize_deg
+from slabcell.cell.workspace import Refusal, Workspace
+from slabcell.cell.wrist import least_turn
+from slabcell.geometry import PlanarPose, normalize_deg
 from slabcell.recipe import Recipe
 from slabcell.vision.result import LocatedPart
 from slabcell_drivers.robot.arm import ArmError, ArmModel, Axes
@@ -38,17 +40,11 @@ STRAIGHT_MM, STRAIGHT_DEG = 1e-3, 1e-3
 """A tool whose axis is the flange's within this only turns A6 when it turns."""
 
 SAME_MM = 1e-6
+PLACES_REMEMBERED = 4096
 
 Matrix = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class Refusal:
-    """A part that was located and is not laid, and why."""
-
-    slot: int
-    fault: Fault
-    detail: str
+Descent = tuple[Pose, Pose]
+"""The flange above a pose, and at it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,14 +55,6 @@ class Plan:
     refused: tuple[Refusal, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class _Reached:
-    """Axes at pick and place with the tool as it was asked for."""
-
-    pick: Axes
-    place: Axes
-
-
 class Planner:
     """Plans for one product in one cell; what does not change from picture to picture is computed once."""
 
@@ -75,6 +63,7 @@ class Planner:
         self._settings = settings
         self._arm = arm
         self._order = LayingOrder(recipe.template.slots)
+        self._workspace = Workspace(recipe.template.slots, settings)
         self._pick_base, self._place_base = settings.pick_base.matrix, settings.place_base.matrix
         self._from_tcp = np.linalg.inv(settings.tool.matrix)
         x, y, _, _, b, c = settings.tool.as_tuple()
@@ -83,7 +72,9 @@ class Planner:
         self._turns_deg = TOOL_TURNS_DEG if free else (0.0,)
         self._few_turns_deg = FEW_TURNS_DEG if free else (0.0,)
         self._straight = math.hypot(x, y) < STRAIGHT_MM and math.hypot(b, c) < STRAIGHT_DEG
-        self._zones = [(zone.shape, zone.shape.buffer(settings.gripper_radius_mm)) for zone in settings.forbidden]
+        # A slot is filled at the same point of the assembly every time: the arm is asked once.
+        self._place_axes = lru_cache(PLACES_REMEMBERED)(self._at_place)
+        self._middles = [(float(x), float(y)) for x, y in (slot.centroid for slot in recipe.template.slots)]
 
     def plan(
         self,
@@ -101,120 +92,113 @@ class Planner:
         refused: list[Refusal] = []
         possible: dict[int, LocatedPart] = {}
         for part in sorted(parts, key=lambda item: item.slot):
-            problem = self._outside(part)
+            problem = self._workspace.refuse(part)
             if problem is None:
                 possible[part.slot] = part
             else:
                 refused.append(problem)
+        picks = dict(
+            zip(possible, self._descents(self._pick_base, [part.pick for part in possible.values()]), strict=True)
+        )
         pairs: list[Pair] = []
         wrist_deg: float | None = None
         for slot in self._order.order(possible, laid):
             try:
-                pair, wrist_deg = self._pair(possible[slot], wrist_deg, correction_mm)
+                if self._straight:
+                    pair, wrist_deg = self._pair(possible[slot], picks[slot], wrist_deg, correction_mm)
+                else:
+                    pair = self._first_reached(possible[slot], correction_mm)
             except ArmError as error:
                 refused.append(Refusal(slot, Fault.UNREACHABLE, str(error)))
                 continue
             pairs.append(pair)
         return Plan(tuple(pairs), tuple(sorted(refused, key=lambda item: item.slot)))
 
-    def _outside(self, part: LocatedPart) -> Refusal | None:
-        """Tell whether tool or slab would be where they must not."""
-        point = shapely.Point(part.pick.x_mm, part.pick.y_mm)
-        where = f"X {part.pick.x_mm:.1f} Y {part.pick.y_mm:.1f} of the table"
-        if not self._settings.pick_area.shape.covers(point):
-            return Refusal(
-                part.slot, Fault.OUTSIDE_WORKSPACE, f"the grasp point at {where} is outside of the pick area"
-            )
-        to_table = self._settings.assembly_in_table
-        x, y = to_table.apply(np.array([part.place.x_mm, part.place.y_mm]))
-        outline = self._recipe.template.slots[part.slot].transformed(to_table).shape
-        for number, (zone, grown) in enumerate(self._zones, start=1):
-            if grown.contains(point):
-                return Refusal(part.slot, Fault.OUTSIDE_WORKSPACE, f"the tool at {where} is in forbidden zone {number}")
-            if grown.contains(shapely.Point(float(x), float(y))) or zone.intersects(outline):
-                return Refusal(part.slot, Fault.COLLISION, f"slot {part.slot} lies in forbidden zone {number}")
-        return None
-
     def _pair(
-        self, part: LocatedPart, wrist_deg: float | None, correction_mm: tuple[float, float]
+        self, part: LocatedPart, pick: Descent, wrist_deg: float | None, correction_mm: tuple[float, float]
     ) -> tuple[Pair, float]:
         """Return the poses of one part, and where A6 stands after it was laid.  Raises ArmError."""
-        places = self._alike(part, correction_mm)
-        if self._straight:
-            options = [
-                (self._wrist_travel(axes, turn, wrist_deg), turn, place)
-                for (axes, place), turn in product(self._reached(part.pick, places), self._turns_deg)
-            ]
-            (_, last), turn, place = min(options, key=lambda option: (option[0][0], abs(option[1])))
-        else:
-            turn, place, last = self._first_reached(part, places)
-        pair = Pair(part.slot, self._down(part.pick, turn), self._down(place, turn), part.score)
+        at_pick = self._descend(pick)
+        reached = self._places_reached(self._alike(part, correction_mm))
+        limits = self._arm.axis_min_deg[5], self._arm.axis_max_deg[5]
+        a6 = [a6 for a6, _ in reached]
+        way, turn, last = least_turn(at_pick[5], a6, self._turns_deg, limits, wrist_deg)
+        turn_deg = self._turns_deg[turn]
+        pair = Pair(part.slot, self._down(part.pick, turn_deg), self._down(reached[way][1], turn_deg), part.score)
         return pair, last
 
-    def _alike(self, part: LocatedPart, correction_mm: tuple[float, float]) -> list[PlanarPose]:
-        """Return the ways to lay the part that look the same."""
-        order = max(1, min(part.symmetry_order, 12))
-        middle: Points = self._recipe.template.slots[part.slot].centroid + np.array(correction_mm)
-        place = part.place
-        found = [place]
-        for step in range(1, order):
-            turn_deg = 360.0 * step / order
-            arm = np.array([place.x_mm, place.y_mm]) - middle
-            x, y = middle + RigidTransform2D(turn_deg, 0.0, 0.0).apply(arm)
-            found.append(PlanarPose(float(x), float(y), normalize_deg(place.a_deg + turn_deg)))
-        return found
-
-    def _wrist_travel(self, axes: _Reached, turn_deg: float, before_deg: float | None) -> tuple[float, float]:
-        """Return how far A6 turns to the pick and on to the place, and where it ends, within its limits."""
-        low, high = self._arm.axis_min_deg[5], self._arm.axis_max_deg[5]
-        best = (math.inf, 0.0)
-        for at_pick in _turns(axes.pick[5] + turn_deg, low, high):
-            for at_place in _turns(axes.place[5] + turn_deg, low, high):
-                start = at_pick if before_deg is None else before_deg
-                travel = abs(at_pick - start) + abs(at_place - at_pick)
-                best = min(best, (travel, at_place))
-        return best
-
-    def _first_reached(self, part: LocatedPart, places: list[PlanarPose]) -> tuple[float, PlanarPose, float]:
-        problem: ArmError | None = None
-        for turn, place in product(self._few_turns_deg, places):
-            try:
-                (axes, _), *_ = self._reached(_turned(part.pick, turn), [_turned(place, turn)])
-            except ArmError as error:
-                problem = problem or error
-                continue
-            return turn, place, axes.place[5]
-        assert problem is not None  # noqa: S101  (there is at least one way, and none was reached)
-        raise problem
-
-    def _reached(self, pick: PlanarPose, places: list[PlanarPose]) -> list[tuple[_Reached, PlanarPose]]:
-        """Return the ways to lay a part that the arm reaches; raises ArmError if there is none."""
-        at_pick = self._descend(self._pick_base, pick)
-        found: list[tuple[_Reached, PlanarPose]] = []
+    def _places_reached(self, places: list[PlanarPose]) -> list[tuple[float, PlanarPose]]:
+        """Return the ways to lay a part that the arm reaches, each with A6; raises ArmError if there is none."""
+        found: list[tuple[float, PlanarPose]] = []
         problem: ArmError | None = None
         for place in places:
-            if found and self._straight and _same_point(found[0][1], place):
+            if found and _same_point(found[0][1], place):
                 # Gripped in its middle: laid turned, only A6 differs, and by the turn itself.
-                axes = found[0][0].place
-                turned = axes[5] + place.a_deg - found[0][1].a_deg
-                found.append((_Reached(at_pick, (*axes[:5], turned)), place))
+                found.append((found[0][0] + place.a_deg - found[0][1].a_deg, place))
                 continue
             try:
-                found.append((_Reached(at_pick, self._descend(self._place_base, place)), place))
+                found.append((self._place_axes(place)[5], place))
             except ArmError as error:
                 problem = problem or error
         if problem is not None and not found:
             raise problem
         return found
 
-    def _descend(self, base: Matrix, pose: PlanarPose) -> Axes:
+    def _first_reached(self, part: LocatedPart, correction_mm: tuple[float, float]) -> Pair:
+        """Return the poses of one part with a tool that is bent or beside the flange's axis.  Raises ArmError."""
+        problem: ArmError | None = None
+        for turn, place in product(self._few_turns_deg, self._alike(part, correction_mm)):
+            (way,) = self._descents(self._pick_base, [_turned(part.pick, turn)])
+            try:
+                self._descend(way)
+                self._place_axes(_turned(place, turn))
+            except ArmError as error:
+                problem = problem or error
+                continue
+            return Pair(part.slot, self._down(part.pick, turn), self._down(place, turn), part.score)
+        assert problem is not None  # noqa: S101  (there is at least one way, and none was reached)
+        raise problem
+
+    def _alike(self, part: LocatedPart, correction_mm: tuple[float, float]) -> list[PlanarPose]:
+        """Return the ways to lay the part that look the same."""
+        order = max(1, min(part.symmetry_order, 12))
+        place = part.place
+        found = [place]
+        middle = self._middles[part.slot]
+        middle_x, middle_y = middle[0] + correction_mm[0], middle[1] + correction_mm[1]
+        arm_x, arm_y = place.x_mm - middle_x, place.y_mm - middle_y
+        for step in range(1, order):
+            turn_deg = 360.0 * step / order
+            c, s = math.cos(math.radians(turn_deg)), math.sin(math.radians(turn_deg))
+            x, y = middle_x + c * arm_x - s * arm_y, middle_y + s * arm_x + c * arm_y
+            found.append(PlanarPose(x, y, normalize_deg(place.a_deg + turn_deg)))
+        return found
+
+    def _descents(self, base: Matrix, poses: Sequence[PlanarPose]) -> list[Descent]:
+        """Return where the flange is above each pose, and at it, with the tool unturned; all of them at once."""
+        if not poses:
+            return []
+        x, y, a = np.array([(pose.x_mm, pose.y_mm, pose.a_deg) for pose in poses]).T
+        c, s = np.cos(np.deg2rad(a)), np.sin(np.deg2rad(a))
+        down = np.zeros((len(poses), 4, 4))  # Rz(a) turned over about X: the tool looks down
+        down[:, 0, 0], down[:, 0, 1], down[:, 1, 0], down[:, 1, 1] = c, s, s, -c
+        down[:, 2, 2], down[:, 3, 3] = -1.0, 1.0
+        down[:, 0, 3], down[:, 1, 3], down[:, 2, 3] = x, y, self._recipe.thickness_mm
+        at = base @ down @ self._from_tcp
+        above = at.copy()
+        above[:, :3, 3] += self._settings.approach_mm * base[:3, 2]  # straight up in the base, which may be tilted
+        return [(_pose(over), _pose(target)) for over, target in zip(above.tolist(), at.tolist(), strict=True)]
+
+    def _at_place(self, place: PlanarPose) -> Axes:
+        (way,) = self._descents(self._place_base, [place])
+        return self._descend(way)
+
+    def _descend(self, way: Descent) -> Axes:
         """Return the axes at a pose; raises ArmError unless the arm gets straight down to it in one configuration."""
-        target = base @ self._down(pose, 0.0).matrix @ self._from_tcp
-        above = target.copy()
-        above[:3, 3] += self._settings.approach_mm * base[:3, 2]  # straight up in the base, which may be tilted
-        axes = self._arm.inverse(_pose(above))
+        above, at = way
+        axes = self._arm.inverse(above)
         status, _ = self._arm.status_turn(axes)
-        return self._arm.inverse(_pose(target), near=axes, status=status)
+        return self._arm.inverse(at, near=axes, status=status)
 
     def _down(self, pose: PlanarPose, turn_deg: float) -> Frame:
         height_mm = self._recipe.thickness_mm
@@ -233,15 +217,7 @@ def _turned(pose: PlanarPose, turn_deg: float) -> PlanarPose:
     return PlanarPose(pose.x_mm, pose.y_mm, pose.a_deg + turn_deg)
 
 
-def _turns(angle_deg: float, low_deg: float, high_deg: float) -> list[float]:
-    """Return the angle with every number of whole turns that the limits allow."""
-    first = math.ceil((low_deg - angle_deg) / 360.0)
-    last = math.floor((high_deg - angle_deg) / 360.0)
-    return [angle_deg + 360.0 * k for k in range(first, last + 1)]
-
-
-def _pose(matrix: Matrix) -> Pose:
-    rows: list[list[float]] = matrix.tolist()
+def _pose(rows: list[list[float]]) -> Pose:
     return Pose(
         (rows[0][3], rows[1][3], rows[2][3]),
         (

@@ -22,6 +22,7 @@ TURN_DISREGARDED_WITHIN_DEG = 2.0
 
 ALL_ZERO: Axes = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 ALL_STATUS_BITS = 0b111
+HALF_TURN_DEG = 180.0 - 1e-6
 LIMIT_TOLERANCE_DEG = 1e-7  # rounding of a pose that was taught at the limit itself
 
 
@@ -92,7 +93,7 @@ class ArmModel:
         branches = self._branches(flange, reference, status)
         best, best_time = None, math.inf
         for _, branch in branches:
-            axes = self._turned(branch, reference, turn)
+            axes = self._nearest(branch, reference) if turn is None else self._turned(branch, reference, turn)
             if axes is None:
                 continue
             time_s = self.travel_time_s(reference, axes)
@@ -148,7 +149,10 @@ class ArmModel:
 
     def travel_time_s(self, start: Axes, end: Axes) -> float:
         """Return how long the slowest axis needs at full speed, ramps left out: a measure of nearness."""
-        return max(abs(end[i] - start[i]) / self.axis_speed_deg_s[i] for i in range(6))
+        longest_s = 0.0
+        for begin, stop, speed in zip(start, end, self.axis_speed_deg_s, strict=True):
+            longest_s = max(longest_s, abs(stop - begin) / speed)
+        return longest_s
 
     def _branches(self, flange: Frame | Pose, reference: Axes, status: int | None) -> list[tuple[int, Axes]]:
         pose = flange if isinstance(flange, Pose) else pose_of_frame(flange)
@@ -160,18 +164,30 @@ class ArmModel:
             status=None if status is None else status & ALL_STATUS_BITS,
         )
 
-    def _turned(self, branch: Axes, reference: Axes, turn: int | None) -> Axes | None:
-        """Return the branch with the whole turns that bring each axis nearest to the reference, or that ``turn`` asks.
+    def _nearest(self, branch: Axes, reference: Axes) -> Axes | None:
+        """Return the branch with the whole turns that bring each axis nearest to the reference; None beyond a limit."""
+        chosen: list[float] = []
+        for i, (angle, target) in enumerate(zip(branch, reference, strict=True)):
+            if abs(angle - target) < HALF_TURN_DEG and self.axis_min_deg[i] <= angle <= self.axis_max_deg[i]:
+                chosen.append(angle)  # no whole turn brings it nearer
+                continue
+            angles = self._turns_of(i, angle)
+            if not angles:
+                return None
+            chosen.append(min(angles, key=lambda angle, target=target: abs(angle - target)))
+        return (chosen[0], chosen[1], chosen[2], chosen[3], chosen[4], chosen[5])
+
+    def _turned(self, branch: Axes, reference: Axes, turn: int) -> Axes | None:
+        """Return the branch with the whole turns that ``turn`` asks, of these the nearest to the reference.
 
         None if the limits of an axis allow none.  A turn bit is disregarded near zero where no angle has it.
         """
         chosen: list[float] = []
         for i in range(6):
             angles = self._turns_of(i, branch[i])
-            if turn is not None:
-                negative = bool(turn >> i & 1)
-                fitting = [angle for angle in angles if (angle < 0.0) == negative]
-                angles = fitting or [angle for angle in angles if abs(angle) <= TURN_DISREGARDED_WITHIN_DEG]
+            negative = bool(turn >> i & 1)
+            fitting = [angle for angle in angles if (angle < 0.0) == negative]
+            angles = fitting or [angle for angle in angles if abs(angle) <= TURN_DISREGARDED_WITHIN_DEG]
             if not angles:
                 return None
             target = reference[i]

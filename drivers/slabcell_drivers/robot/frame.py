@@ -4,7 +4,7 @@ Source: KUKA System Software 8.x, operating and programming instructions, "Coord
 confirmed on taught points of public controller backups.
 """
 
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -65,4 +65,4 @@ class Frame:
 
     def as_tuple(self) -> tuple[float, float, float, float, float, float]:
         """Return X, Y, Z, A, B, C."""
-        return astuple(self)
+        return self.x_mm, self.y_mm, self.z_mm, self.a_deg, self.b_deg, self.c_deg

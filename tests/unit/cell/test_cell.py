@@ -1,6 +1,7 @@
 """How does the cell answer the robot, request by request?"""
 
 import asyncio
+import sqlite3
 import zipfile
 from dataclasses import replace
 
@@ -55,13 +56,42 @@ async def test_an_offer_is_in_the_ledger_before_the_robot_hears_of_it(bench):
 
     def look(event):
         if isinstance(event, events.Offered):
-            seen.append(event.offer.state.value)
+            book = sqlite3.connect(bench.folder / "ledger.sqlite")
+            seen.extend(book.execute("SELECT state FROM offers WHERE result_id = ?", (event.offer.result_id,)))
+            book.close()
 
     bench.cell.subscribe(look)
     await bench.robot.trigger()
-    assert set((await bench.states()).values()) == {"planned"}
-    await bench.robot.next()
-    assert seen == ["offered"]
+    assert sorted((await bench.states()).values()) == ["offered", "planned", "planned"]
+    for _ in range(3):
+        await bench.robot.lay((await bench.robot.next()).offer.result_id)
+    assert seen == [("offered",)] * 3
+
+
+async def test_every_request_is_one_step_of_the_ledger_at_most(bench):
+    commits = []
+    await bench.ledger.run(
+        lambda book: book._db.set_trace_callback(lambda text: commits.append(text) if text == "COMMIT" else None)
+    )
+
+    async def cost(asking):
+        before = len(commits)
+        answer = await asking
+        return len(commits) - before, answer
+
+    robot = bench.robot
+    assert (await cost(robot.hello()))[0] == 1
+    assert (await cost(robot.trigger()))[0] == 1  # job, cycle, results, and the first offer
+    steps, answer = await cost(robot.next())
+    assert steps == 0
+    assert (await cost(robot.say(AckState.ACCEPTED, answer.offer.result_id)))[0] == 1
+    assert (await cost(robot.say(AckState.GRASPED)))[0] == 1
+    assert (await cost(robot.say(AckState.PLACED)))[0] == 1
+    steps, answer = await cost(robot.next())
+    assert steps == 1
+    await robot.say(AckState.ACCEPTED, answer.offer.result_id)
+    assert (await cost(robot.say(AckState.PICK_FAILED)))[0] == 1  # the result, and the others taken back
+    assert sorted((await bench.states()).values()) == ["failed", "placed", "void"]
 
 
 async def test_the_same_trigger_again_gets_the_same_answer_and_no_second_picture(bench):

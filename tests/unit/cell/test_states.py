@@ -29,8 +29,10 @@ async def test_every_event_in_every_state_does_what_the_table_says(state, event)
             await machine.fire(event, "test")
         assert machine.state is state
     else:
-        await machine.fire(event, "test")
-        assert machine.state is expected
+        for _ in range(2):  # the second time from what is remembered
+            machine.current = state.value
+            await machine.fire(event, "test")
+            assert machine.state is expected
 
 
 def test_no_event_has_two_ways_out_of_a_state():
