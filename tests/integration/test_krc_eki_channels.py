@@ -7,7 +7,7 @@ import pytest
 
 from slabcell_drivers.krc.eki import EthernetKrl
 from slabcell_drivers.krc.eki_config import ElementType
-from slabcell_drivers.krc.unconfirmed import EkiMessage
+from slabcell_drivers.krc.eki_messages import EkiMessage
 from slabcell_drivers.robot.frame import Frame
 
 pytestmark = pytest.mark.integration

@@ -8,7 +8,7 @@ import pytest
 from slabcell_drivers.krc.eki import EthernetKrl
 from slabcell_drivers.krc.eki_config import ElementType
 from slabcell_drivers.krc.eki_faults import Fault, LinkFaults, Way
-from slabcell_drivers.krc.unconfirmed import EkiMessage
+from slabcell_drivers.krc.eki_messages import EkiMessage
 
 pytestmark = pytest.mark.integration
 

@@ -373,6 +373,49 @@ END
         assert "EKI00014" in krc.messages[-1].text
 
 
+def test_a_text_or_frame_that_its_variable_cannot_hold_is_a_status():
+    program = b"""DEF t()
+DECL EKI_STATUS RET
+CHAR short[3]
+CHAR long[30]
+FRAME unset[2]
+RET=EKI_Init("Broken")
+CODE[1]=RET.MSG_NO
+RET=EKI_Init("Sensor")
+RET=EKI_Open("Sensor")
+WAIT FOR $FLAG[998]
+short[]="abc"
+long[]="-"
+RET=EKI_GetString("Sensor","res/message",short[])
+CODE[2]=RET.MSG_NO
+KEPT=short[1]=="a"
+RET=EKI_GetString("Sensor","res/message",long[])
+CODE[3]=RET.MSG_NO
+RET=EKI_GetFrameArray("Sensor","res/grasps/le/pose",unset[])
+CODE[4]=RET.MSG_NO
+END
+"""
+
+    def talk(peer, connection):
+        connection.sendall(b"<res><message>four</message></res><res><message>fifth</message></res>")
+        read_until(connection, b"never")
+
+    peer = Peer(talk)
+    try:
+        with SoftwareKrc(
+            {"t.src": program, "t.dat": b"DEFDAT t PUBLIC\nINT CODE[4]\nBOOL KEPT=FALSE\nENDDAT\n"},
+            robot=KR3_R540,
+            eki_configs={"Sensor": SENSOR_XML, "Broken": b"<ETHERNETKRL>"},
+            eki_addresses={"Sensor": peer.address},
+        ) as krc:
+            result = krc.run("t", max_wall_s=60)
+            assert (result.status, result.message) == ("done", "")
+            assert [krc.data("t", f"CODE[{i}]") for i in (1, 2, 3, 4)] == [22, 27, 0, 26]
+            assert krc.data("t", "KEPT") is True
+    finally:
+        peer.close()
+
+
 def test_waits_after_the_channel_is_closed_take_no_real_time():
     program = b"""DEF t()
 DECL EKI_STATUS RET

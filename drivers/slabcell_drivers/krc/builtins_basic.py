@@ -26,6 +26,15 @@ def text(value: Value) -> str:
     return value.split("\0", 1)[0]
 
 
+def shown_text(value: Value) -> str:
+    """Return a value as a message shows it: a text without its quotation marks."""
+    if isinstance(value, CharArray):
+        return value.text or ""
+    if isinstance(value, str):
+        return value
+    return text_of(value)
+
+
 def place_text(place: Place) -> str:
     """Return the text that a place holds; one never set is empty."""
     value = place.value
@@ -181,6 +190,15 @@ def _zero(_: Host) -> int:
     return 0
 
 
+def _zero_of(_: Host, *__: Value) -> int:
+    return 0
+
+
+def _system_state(_: Host, __: Value, number: Place, ___: Place) -> bool:
+    number.set(0)  # STOPBITS, what programs ask for: nothing stops the robot
+    return True
+
+
 def _one(_: Host, *__: Value) -> int:
     return 1
 
@@ -227,5 +245,7 @@ BASIC_BUILTINS: dict[str, Builtin] = {
     "ISMESSAGESET": Builtin(_no, 1, 1, result="BOOL"),
     "WSPACEGIVE": Builtin(_yes, 1, 1, result="BOOL"),
     "WSPACETAKE": Builtin(_yes, 1, 2, result="BOOL"),
+    "GETSYSSTATE": Builtin(_system_state, 3, 3, frozenset({1, 2}), result="BOOL"),
+    "GET_MSGBUFFER": Builtin(_zero_of, 1, 1, frozenset({0}), result="INT"),
     "DELETE_BACKWARD_BUFFER": Builtin(_zero, 0, 0),
 }

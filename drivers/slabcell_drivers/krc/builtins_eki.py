@@ -1,16 +1,18 @@
 """How do the functions of KUKA.EthernetKRL look from KRL?  Names, arguments and EKI_STATUS around `EthernetKrl`."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from slabcell_drivers.krc.builtin_table import Builtin
 from slabcell_drivers.krc.builtins_basic import text
 from slabcell_drivers.krc.cells import ElementRef, Place
 from slabcell_drivers.krc.eki import EkiStatus
 from slabcell_drivers.krc.eki_config import ElementType
+from slabcell_drivers.krc.eki_messages import EkiMessage
 from slabcell_drivers.krc.host import Host
 from slabcell_drivers.krc.messages import KrlError, RunMessage
 from slabcell_drivers.krc.operators import frame_of, set_frame
-from slabcell_drivers.krc.values import ArrayValue, EnumConstant, StructType, StructValue, Value, text_of
+from slabcell_drivers.krc.values import ArrayValue, CharArray, EnumConstant, StructType, StructValue, Value, text_of
 from slabcell_drivers.robot.frame import Frame
 
 __all__ = ["EKI_BUILTINS"]
@@ -80,15 +82,18 @@ def _setter(kind: str) -> Callable[..., Value]:
     return call
 
 
-def _store(place: Place, value: object) -> None:
+def _store(place: Place, value: object) -> EkiMessage:
+    """Store what was received; return what EKI has to say if it does not fit."""
+    target = place.value
+    if isinstance(target, CharArray) and len(str(value)) > target.size:
+        return EkiMessage.ARRAY_TOO_SMALL
     if not isinstance(value, Frame):
         place.set(value)
-        return
-    target = place.value
-    if isinstance(target, StructValue):
+    elif isinstance(target, StructValue):
         set_frame(target, value)
     else:
         place.set(set_frame(StructValue(None, {}), value))
+    return EkiMessage.NONE
 
 
 def _getter(kind: str) -> Callable[..., Value]:
@@ -97,8 +102,8 @@ def _getter(kind: str) -> Callable[..., Value]:
     def call(host: Host, channel: Value, path: Value, target: Place) -> Value:
         host.eki.poll(0.0)
         status, value = host.eki.get_value(text(channel), text(path), element)
-        if value is not None:
-            _store(target, value)
+        if value is not None and (message := _store(target, value)):
+            status = replace(status, msg_no=message, read=0)
         return _status(host, status)
 
     return call
@@ -112,9 +117,12 @@ def _array_getter(kind: str) -> Callable[..., Value]:
         array = target.value
         if not isinstance(array, ArrayValue):
             raise KrlError(RunMessage.TYPE, f"EKI_GET{kind}ARRAY: {text_of(array)} is no array")
+        if element is ElementType.FRAME and not all(isinstance(i, StructValue) and i.fields for i in array.items):
+            return _status(host, EkiStatus(msg_no=EkiMessage.ARRAY_NOT_INITIALIZED))
         status, values = host.eki.get_array(text(channel), text(path), element, len(array.items))
         for position, value in enumerate(values):
-            _store(ElementRef(target, (position + 1,)), value)
+            if message := _store(ElementRef(target, (position + 1,)), value):
+                status = replace(status, msg_no=message)
         return _status(host, status)
 
     return call

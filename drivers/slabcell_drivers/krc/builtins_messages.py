@@ -1,38 +1,13 @@
-"""How do KRL programs show messages, ask questions, format texts and pulse outputs?"""
-
-import re
-import struct
-from collections.abc import Sequence
+"""How do KRL programs show messages and ask the operator?"""
 
 from slabcell_drivers.krc.builtin_table import Builtin
-from slabcell_drivers.krc.builtins_basic import place_text, text
-from slabcell_drivers.krc.cells import Place, Trait
+from slabcell_drivers.krc.builtins_basic import shown_text, text
+from slabcell_drivers.krc.cells import Place
 from slabcell_drivers.krc.host import Host
 from slabcell_drivers.krc.messages import KrlError, RunMessage
-from slabcell_drivers.krc.values import (
-    BOOL,
-    CHAR,
-    REAL,
-    ArrayValue,
-    CharArray,
-    EnumConstant,
-    StructValue,
-    Value,
-    text_of,
-)
+from slabcell_drivers.krc.values import ArrayValue, CharArray, EnumConstant, StructValue, Value, text_of
 
-__all__ = ["MESSAGE_BUILTINS", "format_text"]
-
-_STOP = frozenset({Trait.STOPS_ADVANCE})
-_CONVERSION = re.compile(r"%([-+ 0#]*)(\d*)(?:\.(\d+))?([a-zA-Z%])")
-
-
-def _shown(value: Value) -> str:
-    if isinstance(value, CharArray):
-        return value.text or ""
-    if isinstance(value, str):
-        return value
-    return text_of(value)
+__all__ = ["MESSAGE_BUILTINS"]
 
 
 def _parameter_text(parameter: Value) -> str | None:
@@ -46,7 +21,7 @@ def _parameter_text(parameter: Value) -> str | None:
         if isinstance(value, CharArray) and value.text is None:
             value = None
         if value is not None:
-            return _shown(value)
+            return shown_text(value)
     return ""
 
 
@@ -64,7 +39,7 @@ def _message_parts(message: Value) -> tuple[str, int, str]:
     if not isinstance(message, StructValue):
         raise KrlError(RunMessage.TYPE, f"{text_of(message)} is no KRLMSG_T")
     originator, content = message.fields.get("MODUL"), message.fields.get("MSG_TXT")
-    return _shown(originator or ""), int(message.fields.get("NR") or 0), _shown(content or "")
+    return shown_text(originator or ""), int(message.fields.get("NR") or 0), shown_text(content or "")
 
 
 def _set_message(host: Host, kind: Value, message: Value, parameters: Value = None, *_: Value) -> int:
@@ -77,7 +52,7 @@ def _set_dialog(host: Host, message: Value, parameters: Value = None, softkeys: 
     originator, number, content = _message_parts(message)
     keys: list[str] = []
     if isinstance(softkeys, ArrayValue):
-        keys = [_shown(k.fields.get("SK_TXT") or "") for k in softkeys.items if isinstance(k, StructValue)]
+        keys = [shown_text(k.fields.get("SK_TXT") or "") for k in softkeys.items if isinstance(k, StructValue)]
     return host.messages.show("DIALOG", originator, number, _filled(content, parameters), tuple(keys))
 
 
@@ -115,10 +90,29 @@ class _Short:
         number: Value = None,
         *_: Value,
     ) -> int:
-        filling = _shown(value) if value is not None else "" if addition is None else _shown(addition)
+        filling = shown_text(value) if value is not None else "" if addition is None else shown_text(addition)
         shown = text(content).replace("%1", filling)
         module = "" if originator is None else text(originator)
         return host.messages.show(self._kind, module, int(number or 0), shown)
+
+
+def _notify_texts(
+    host: Host,
+    content: Value,
+    originator: Value = None,
+    value: Value = None,
+    first: Value = None,
+    second: Value = None,
+    number: Value = None,
+    *_: Value,
+) -> None:
+    """MsgNotifyTextPar: a number above 0 fills %1, or else two texts fill %1 and %2."""
+    shown = text(content)
+    if value:
+        shown = shown.replace("%1", shown_text(value))
+    else:
+        shown = shown.replace("%1", shown_text(first or "")).replace("%2", shown_text(second or ""))
+    host.messages.show("NOTIFY", "" if originator is None else text(originator), int(number or 0), shown)
 
 
 def _state_message(host: Host, handle: Place, *arguments: Value) -> None:
@@ -128,8 +122,10 @@ def _state_message(host: Host, handle: Place, *arguments: Value) -> None:
 def _ask(
     host: Host, answer: Place, content: Value, originator: Value = None, addition: Value = None, *rest: Value
 ) -> None:
-    keys = tuple(text(key) for key in rest[:7] if isinstance(key, str | CharArray))
-    filling = "" if addition is None else _shown(addition)
+    # MsgDialog puts its first text on softkey 7 and its seventh on softkey 1: the answer counts down
+    given = [text(key) if isinstance(key, str | CharArray) else "" for key in rest[:7]]
+    keys = tuple(reversed(given + [""] * (7 - len(given))))
+    filling = "" if addition is None else shown_text(addition)
     module = "" if originator is None else text(originator)
     handle = host.messages.show("DIALOG", module, 0, text(content).replace("%1", filling), keys)
     host.open_dialog = (handle, answer)
@@ -152,183 +148,6 @@ def _is_answered(host: Host) -> bool:
     return True
 
 
-# --- formatting ----------------------------------------------------------------------------------------------------
-
-
-def format_text(template: str, values: Sequence[Value]) -> str:
-    """Return the text that SWRITE or CWRITE makes of a format and values.  Raises KrlError if they do not match."""
-    rest = list(values)
-
-    def convert(match: re.Match[str]) -> str:
-        flags, width, precision, letter = match.groups()
-        if letter == "%":
-            return "%"
-        if not rest:
-            raise KrlError(RunMessage.ARGUMENTS, f"the format {template!r} needs more values than are given")
-        value = rest.pop(0)
-        spec = f"%{flags}{width}" + (f".{precision}" if precision is not None else "")
-        if letter in "dioxXc":
-            if letter == "c" and isinstance(value, str):
-                return (spec + "s") % value[:1]
-            if isinstance(value, bool) or not isinstance(value, int):
-                value = int(value) if isinstance(value, bool | float) else ord(str(value)[:1] or " ")
-            return (spec + letter) % value
-        if letter in "feEgG":
-            return (spec + letter) % float(value)
-        return (spec + "s") % _shown(value)
-
-    return _CONVERSION.sub(convert, template)
-
-
-def _set_state(state: Place | None, return_code: str, hits: int, length: int) -> None:
-    if state is None:
-        return
-    structure = state.value
-    if isinstance(structure, StructValue) and structure.type is not None:
-        for name, value in (("RET1", EnumConstant(return_code)), ("HITS", hits), ("LENGTH", length), ("MSG_NO", 0)):
-            if name in structure.type.members:
-                structure.set(name, value)
-
-
-def _write_text(_: Host, target: Place, state: Place | None, offset: Place | None, form: Place, *values: Place) -> None:
-    start = int(offset.value or 0) if offset is not None else 0
-    written = format_text(text(form.value), [v.value for v in values])
-    before = place_text(target)[:start].ljust(start)
-    array = target.value
-    joined = before + written
-    if isinstance(array, CharArray) and len(joined) > array.size:
-        joined = joined[: array.size]
-        _set_state(state, "DATA_BLK", 0, 0)
-    else:
-        _set_state(state, "CMD_OK", len(values), len(written))
-    target.set(joined)
-    if offset is not None:
-        offset.set(len(joined))
-
-
-_SCAN = {
-    "d": r"\s*([-+]?\d+)",
-    "i": r"\s*([-+]?\d+)",
-    "x": r"\s*([0-9A-Fa-f]+)",
-    "s": r"\s*(\S+)",
-    "c": r"(.)",
-    **dict.fromkeys("feEgG", r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"),
-}
-
-
-def _read_text(_: Host, source: Place, state: Place | None, offset: Place | None, form: Place, *targets: Place) -> None:
-    start = int(offset.value or 0) if offset is not None else 0
-    content = place_text(source)
-    position, hits = start, 0
-    template = text(form.value)
-    rest = list(targets)
-    last = 0
-    ok = True
-    for match in _CONVERSION.finditer(template):
-        literal = template[last : match.start()]
-        last = match.end()
-        skipped = re.compile(r"\s*".join(re.escape(part) for part in literal.split(" "))).match(content, position)
-        if skipped is None:
-            ok = False
-            break
-        position = skipped.end()
-        letter, width = match.group(4), match.group(2)
-        pattern = _SCAN.get(letter, r"(\S+)")
-        if letter == "s" and width:
-            pattern = rf"(.{{1,{int(width)}}})"
-        found = re.compile(pattern).match(content, position)
-        if found is None or not rest:
-            ok = False
-            break
-        position = found.end()
-        raw = found.group(1)
-        value: Value = int(raw, 16) if letter == "x" else int(raw) if letter in "di" else raw
-        rest.pop(0).set(float(raw) if letter in "feEgG" else value)
-        hits += 1
-    _set_state(state, "CMD_OK" if ok else "FMT_ERR", hits, position - start)
-    if offset is not None:
-        offset.set(position)
-
-
-# --- packing ---------------------------------------------------------------------------------------------------------
-
-
-def _packed(value: Value) -> bytes:
-    if isinstance(value, bool):
-        return bytes([value])
-    if isinstance(value, int):
-        return struct.pack("<i", value)
-    if isinstance(value, float):
-        return struct.pack("<f", value)
-    if isinstance(value, CharArray):
-        return (value.text or "").encode("latin-1", "replace").ljust(value.size, b"\0")
-    if isinstance(value, str):
-        return value.encode("latin-1", "replace")
-    raise KrlError(RunMessage.TYPE, f"CAST_TO: {text_of(value)} cannot be packed")
-
-
-def _cast_to(_: Host, buffer: Place, offset: Place, *values: Place) -> None:
-    start = int(offset.value or 0)
-    content = buffer.value
-    before = (content.text or "") if isinstance(content, CharArray) else ""
-    packed = b"".join(_packed(v.value) for v in values).decode("latin-1")
-    buffer.set(before[:start].ljust(start, "\0") + packed + before[start + len(packed) :])
-    offset.set(start + len(packed))
-
-
-def _cast_from(_: Host, buffer: Place, offset: Place, *targets: Place) -> None:
-    position = int(offset.value or 0)
-    content = buffer.value
-    raw = ((content.text or "") if isinstance(content, CharArray) else "").encode("latin-1", "replace")
-    for target in targets:
-        type_ = getattr(target, "type", None)
-        present = target.value
-        size = present.size if isinstance(present, CharArray) else 1 if type_ in {BOOL, CHAR} else 4
-        piece = raw[position : position + size]
-        if len(piece) < size:
-            raise KrlError(
-                RunMessage.RANGE, f"CAST_FROM: the buffer holds {len(raw)} characters, not {position + size}"
-            )
-        if isinstance(present, CharArray):
-            target.set(piece.decode("latin-1").rstrip("\0"))
-        elif type_ is BOOL:
-            target.set(piece != b"\0")
-        elif type_ is CHAR:
-            target.set(piece.decode("latin-1"))
-        else:
-            target.set(struct.unpack("<f" if type_ is REAL else "<i", piece)[0])
-        position += size
-    offset.set(position)
-
-
-# --- outputs -------------------------------------------------------------------------------------------------------
-
-
-def _pulse(host: Host, output: Place, level: Value, seconds: Value) -> None:
-    if isinstance(seconds, bool) or not isinstance(seconds, int | float) or seconds <= 0:
-        raise KrlError(RunMessage.RANGE, f"PULSE: {text_of(seconds)} s is not above 0")
-    output.set(level)
-    host.schedule(float(seconds), lambda: output.set(not level))
-
-
-class _NotHere:
-    """A function of interfaces that this controller does not have."""
-
-    def __init__(self, name: str) -> None:
-        self._name = name
-
-    def __call__(self, _: Host, *arguments: Value) -> None:
-        del arguments
-        raise KrlError(RunMessage.NOT_SUPPORTED, f"{self._name}: this controller has no such interface")
-
-
-def _channel_write(host: Host, handle: Value, state: Place | None, *arguments: Value) -> None:
-    """CWRITE to $CMD and its kin: noted as a message, done by nobody."""
-    del handle, arguments
-    _set_state(state, "CMD_OK", 1, 0)
-    host.messages.show("NOTIFY", "CWRITE", 0, "a command to the system was not carried out")
-
-
 MESSAGE_BUILTINS: dict[str, Builtin] = {
     "SET_KRLMSG": Builtin(_set_message, 2, 4, result="INT"),
     "SET_KRLDLG": Builtin(_set_dialog, 1, 4, result="INT"),
@@ -336,17 +155,9 @@ MESSAGE_BUILTINS: dict[str, Builtin] = {
     "EXISTS_KRLDLG": Builtin(_dialog_exists, 1, 2, frozenset({1}), result="BOOL"),
     "CLEAR_KRLMSG": Builtin(_clear_message, 1, 1, result="BOOL"),
     "MSGNOTIFY": Builtin(_Short("NOTIFY"), 1, 6, result="INT"),
+    "MSGNOTIFYTEXTPAR": Builtin(_notify_texts, 1, 7),
     "MSGQUIT": Builtin(_Short("QUIT"), 1, 6, waits=_is_acknowledged),
     "MSGSTATE": Builtin(_state_message, 2, 7, frozenset({0})),
     "MSGLOOP": Builtin(_Short("STATE"), 1, 2),
     "MSGDIALOG": Builtin(_ask, 2, 14, frozenset({0}), waits=_is_answered),
-    "SWRITE": Builtin(_write_text, 4, 34, frozenset({0, 1, 2}), rest_out=True),
-    "SREAD": Builtin(_read_text, 4, 34, frozenset({0, 1, 2}), rest_out=True),
-    "CAST_TO": Builtin(_cast_to, 3, 34, frozenset({0, 1}), rest_out=True),
-    "CAST_FROM": Builtin(_cast_from, 3, 34, frozenset({0, 1}), rest_out=True),
-    "CWRITE": Builtin(_channel_write, 2, 34, frozenset({1})),
-    "CREAD": Builtin(_NotHere("CREAD"), 1, 34),
-    "COPEN": Builtin(_NotHere("COPEN"), 1, 4),
-    "CCLOSE": Builtin(_NotHere("CCLOSE"), 1, 4),
-    "PULSE": Builtin(_pulse, 3, 3, frozenset({0}), traits=_STOP),
 }

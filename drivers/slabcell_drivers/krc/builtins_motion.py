@@ -128,7 +128,7 @@ def _numbered(host: Host, array_name: str, number: int) -> Value:
     try:
         return array.get((number,))
     except KrlError as error:
-        raise KrlError(error.number, f"{array_name}[{number}]: {error.text}") from None
+        raise KrlError(error.number, f"{array_name}[{number}]: {error.detail}") from None
 
 
 def _set_tool(host: Host, number: int) -> None:

@@ -228,7 +228,7 @@ class ExpressionCompiler:
                 value = place(a).value
             except KrlError as error:
                 if error.number == RunMessage.INDEX:
-                    raise KrlError(error.number, f"{text}: {error.text}") from None
+                    raise KrlError(error.number, f"{text}: {error.detail}") from None
                 raise
             if value is None:
                 raise _invalid(text)

@@ -83,9 +83,12 @@ def compile_trigger(compiler: StatementEmitter, node: Trigger) -> None:
     priority = compiler.expr(node.priority)[0] if node.priority is not None else None
     compiler.traits.clear()  # what the action touches is touched in the main run
     label = compiler.action(node.action)
-    runner, kind, on_start = compiler.interpreter.motion, node.kind, node.on_start
+    interpreter = compiler.interpreter
+    runner, kind, on_start = interpreter.motion, node.kind, node.on_start
 
     def arm(a: Activation) -> None:
+        if interpreter.served_priority or not interpreter.may_move:
+            raise KrlError(RunMessage.TRIGGER_PLACE, f"TRIGGER WHEN {kind}")
         runner.add_trigger(
             TriggerOrder(
                 kind=kind,

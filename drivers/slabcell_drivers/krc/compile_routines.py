@@ -66,14 +66,26 @@ class RoutineCompiler(BlockCompiler):
         self._proceeds: list[list[int]] = []
         self._continue_next = False
 
-    def _cyclic(self, node: Expr) -> Function:
-        """Return a condition that is evaluated again and again: it may call no function written in KRL."""
+    def _cyclic(self, node: Expr, refusal: RunMessage) -> Function:
+        """Return an expression that is evaluated every tick: it may call no function written in KRL."""
         before = self.position
         function = self.expr(node)[0]
         if self.position != before:
-            text = "a condition that is evaluated cyclically cannot call a function written in KRL"
-            raise KrlError(RunMessage.NOT_SUPPORTED, text)
+            raise KrlError(refusal, "it is evaluated cyclically and calls a function written in KRL")
         return function
+
+    def condition(self, node: Expr) -> Function:
+        """Return a condition that is looked at beside the program, also where it calls functions written in KRL."""
+        skip = self.emit(jump_to(self.position + 1))
+        start = self.position
+        function = self.expr(node)[0]
+        if self.position == start:
+            del self.code.operations[skip:], self.code.lines[skip:]
+            return function
+        interpreter = self.interpreter
+        self.emit(lambda a: interpreter.leave(function(a)))
+        self.code.operations[skip] = jump_to(self.position)
+        return lambda a: interpreter.evaluate(a, start)
 
     def compile(self) -> Code:
         """Return the operations of the routine.  What cannot be compiled becomes an operation that says so."""
@@ -146,7 +158,7 @@ class RoutineCompiler(BlockCompiler):
         try:
             self._compile(statement)
         except KrlError as error:
-            self.emit(failing(error.number, error.text))
+            self.emit(failing(error.number, error.detail))
         self.continues = outer
         line_end = start
         while line_end < self.position and self.code.lines[line_end] == statement.place.line:
@@ -218,7 +230,7 @@ class RoutineCompiler(BlockCompiler):
     def _assign(self, statement: Assign) -> None:
         target = statement.target
         if isinstance(target, Index) and isinstance(target.base, Name) and target.base.name == "$CYCFLAG":
-            function = self._cyclic(statement.value)
+            function = self._cyclic(statement.value, RunMessage.CYCFLAG_FUNCTION)
             number = self.expr(target.indices[0])[0] if target.indices[0] is not None else None
             if number is None:
                 raise KrlError(RunMessage.INDEX, "$CYCFLAG needs an index")
@@ -247,8 +259,8 @@ class RoutineCompiler(BlockCompiler):
             try:
                 place(a).set(function(a))
             except KrlError as error:
-                if error.number == RunMessage.INDEX and not error.text.startswith(text):
-                    raise KrlError(error.number, f"{text}: {error.text}") from None
+                if error.number == RunMessage.INDEX and not error.detail.startswith(text):
+                    raise KrlError(error.number, f"{text}: {error.detail}") from None
                 raise
 
         self.emit_synchronized(set_part)
@@ -313,7 +325,7 @@ class RoutineCompiler(BlockCompiler):
     def _interrupt_decl(self, statement: InterruptDecl) -> None:
         number = self.expr(statement.number)[0]
         self.traits.clear()
-        condition = self._cyclic(statement.condition)
+        condition = self.condition(statement.condition)
         uses_time = Trait.TIME in self.traits
         label = self.action(statement.action)
         interrupts = self.interpreter.interrupts
@@ -328,6 +340,8 @@ class RoutineCompiler(BlockCompiler):
     def _analog(self, statement: Analog) -> None:
         """ANIN and ANOUT: a value that follows its expression once every tick, from ON to OFF."""
         target = self.place(statement.target)
-        function = self._cyclic(statement.value) if statement.verb == "ON" and statement.value is not None else None
+        function = None
+        if statement.verb == "ON" and statement.value is not None:
+            function = self._cyclic(statement.value, RunMessage.NOT_SUPPORTED)
         machine = self.interpreter
         self.emit_synchronized(lambda a: machine.assign_cyclically(target(a), function, a))

@@ -220,7 +220,7 @@ class SoftwareKrc:
 
     def emergency_stop(self) -> None:
         """Press the emergency stop; from any thread.  `go_on` is Start after it was released and acknowledged."""
-        self._kernel.end("stopped", RunMessage.EMERGENCY_STOP, "Emergency stop")
+        self._kernel.end("stopped", RunMessage.EMERGENCY_STOP, "EMERGENCY STOP")
         self._kernel.system.write("$ALARM_STOP", value=False)
         self._kernel.system.write("$STOPMESS", value=True)
 
@@ -235,7 +235,7 @@ class SoftwareKrc:
             msg = f"{mode} is no mode of operation; there are {', '.join(_MODES)}"
             raise ValueError(msg)
         self._kernel.system.write("$MODE_OP", EnumConstant(mode.upper()))
-        self._kernel.end("stopped", RunMessage.MODE_CHANGED, f"mode of operation changed to {mode.upper()}")
+        self._kernel.end("stopped", RunMessage.MODE_CHANGED, f"STOP due to operating mode change: {mode.upper()}")
 
     def power_loss(self, *, outputs_hold: bool = False) -> None:
         """Cut the power; from any thread, or from the trace of a statement, which is then not executed.

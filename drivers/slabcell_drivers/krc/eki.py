@@ -24,10 +24,10 @@ from slabcell_drivers.krc.eki_config import (
     parse_config,
 )
 from slabcell_drivers.krc.eki_memory import Entry, Value
+from slabcell_drivers.krc.eki_messages import EKI_MESSAGE_TEXTS, EkiMessage
 from slabcell_drivers.krc.eki_server import ServerSide
 from slabcell_drivers.krc.eki_transport import Link, PlainLink, Transport, connect, listen
 from slabcell_drivers.krc.eki_wire import send_paths, write_branch
-from slabcell_drivers.krc.unconfirmed import EKI_MESSAGE_TEXTS, EkiMessage
 from slabcell_drivers.robot.frame import Frame
 
 __all__ = ["EkiEvent", "EkiStatus", "EthernetKrl"]
@@ -111,7 +111,7 @@ class EthernetKrl:
             config = parse_config(raw)
         except EkiConfigError as error:
             self._hooks.notice(channel, f"{channel}.xml: {error}")
-            return EkiStatus(msg_no=EkiMessage.CONFIGURATION_INVALID)
+            return EkiStatus(msg_no=EkiMessage.CONFIGURATION_INVALID if error.is_xml else EkiMessage.XML_INVALID)
         created = Channel(channel, config, self._hooks, wire=self._wire, rng=self._rng)
         self._channels[key] = created
         return self._status(created)

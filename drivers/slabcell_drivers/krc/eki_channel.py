@@ -13,11 +13,11 @@ from enum import StrEnum
 
 from slabcell_drivers.krc.eki_config import ChannelConfig, ElementType, ReceiveElement
 from slabcell_drivers.krc.eki_memory import ElementMemories, Entry, Value
+from slabcell_drivers.krc.eki_messages import EkiMessage
 from slabcell_drivers.krc.eki_raw import RawSplitter
 from slabcell_drivers.krc.eki_transport import LinkClosedError, Transport
 from slabcell_drivers.krc.eki_wire import MAX_STRING_CHARS, read_value, received_elements
 from slabcell_drivers.krc.eki_xml import DocumentSplitter, XmlError, parse_document
-from slabcell_drivers.krc.unconfirmed import EkiMessage
 
 __all__ = ["Channel", "Hooks", "Segmentation", "TelegramDirection", "WireOptions"]
 

@@ -26,11 +26,15 @@ FRAME_KEYS = ("X", "Y", "Z", "A", "B", "C")
 
 
 class EkiConfigError(ValueError):
-    """A configuration that EKI would not take; ``problems`` lists everything that is wrong with it."""
+    """A configuration that EKI would not take; ``problems`` lists everything that is wrong with it.
 
-    def __init__(self, problems: tuple[str, ...]) -> None:
+    ``is_xml`` tells whether the file is XML at all.
+    """
+
+    def __init__(self, problems: tuple[str, ...], *, is_xml: bool = True) -> None:
         super().__init__("; ".join(problems))
         self.problems = problems
+        self.is_xml = is_xml
 
 
 class Role(StrEnum):
@@ -113,7 +117,7 @@ def parse_config(raw: bytes) -> ChannelConfig:
     try:
         root = parse_document(raw)
     except XmlError as error:
-        raise EkiConfigError((str(error),)) from error
+        raise EkiConfigError((str(error),), is_xml=False) from error
     reader = _Reader()
     config = reader.read(root)
     if reader.problems:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from slabcell_drivers.krc.cells import Place
+from slabcell_drivers.krc.cells import Cell, Place
 from slabcell_drivers.krc.clock import Clock
 from slabcell_drivers.krc.code import Activation, Code, Function, InterruptEntry, Pause
 from slabcell_drivers.krc.compile_routines import RoutineCompiler
@@ -18,6 +18,7 @@ from slabcell_drivers.krc.values import Value
 __all__ = ["Interpreter"]
 
 MAX_CALL_DEPTH = 200
+MAX_CONDITION_OPERATIONS = 1000
 _WRONG_VALUES = (TypeError, ValueError, ArithmeticError, AttributeError, LookupError)
 """What functions raise that take a value for what it is not: the program's fault, and an error of its statement."""
 LOWEST_PRIORITY = 81  # of triggers that leave the choice to the controller
@@ -52,6 +53,7 @@ class Interpreter:
         self._assignments: dict[int, tuple[Place, Function, Activation]] = {}
         self._proceed: tuple[Activation, list[int]] | None = None
         self._braking = False
+        self._is_evaluating = False  # a condition beside the program
         self._stopped_before: tuple[str, int] | None = None
 
     # --- programs and routines ----------------------------------------------------------------------------------
@@ -157,6 +159,26 @@ class Interpreter:
         else:
             self.interrupts.forget(top)
 
+    def evaluate(self, a: Activation, pc: int) -> Value:
+        """Return the value of a condition that calls functions.  Raises KrlError, also if one of them waits."""
+        depth = len(self.stack)
+        result = Cell("", None)
+        self.stack.append(Activation(a.code, a.cells, pc=pc, result=result))
+        outer, self._is_evaluating = self._is_evaluating, True
+        try:
+            for _ in range(MAX_CONDITION_OPERATIONS):
+                top = self.stack[-1]
+                top.pc += 1
+                if top.code.operations[top.pc - 1](top) is not None:
+                    break
+                if len(self.stack) == depth:
+                    return result.value
+        finally:
+            self._is_evaluating = outer
+            del self.stack[depth:]
+        text = f"a function in a condition waits, or takes more than {MAX_CONDITION_OPERATIONS} operations"
+        raise KrlError(RunMessage.NOT_SUPPORTED, text)
+
     def proceed_on_error(self, a: Activation, span: list[int]) -> None:
         """Let an error of the next statement set $ERR instead of stopping the program."""
         self._proceed = (a, span)
@@ -190,7 +212,9 @@ class Interpreter:
 
         An interrupt routine waits for its own motions only, not for those that it interrupted.
         """
-        if self.may_move and self.motion.is_busy and (self.motion.is_held or not self.served_priority):
+        if self._is_evaluating or not self.may_move or not self.motion.is_busy:
+            return None
+        if self.motion.is_held or not self.served_priority:
             a.pc -= 1
             return Pause.MOTION
         return None
@@ -252,6 +276,8 @@ class Interpreter:
         if serving is None:
             raise KrlError(RunMessage.RESUME, "RESUME stands outside of an interrupt routine")
         entry = self.stack[serving].served
+        if entry is not None and entry.is_global:
+            raise KrlError(RunMessage.RESUME_GLOBAL, f"interrupt {entry.number}")
         level = self._level_of(entry.activation) if entry is not None else None
         if level is None or level >= serving - 1:
             raise KrlError(

@@ -81,7 +81,7 @@ class Interrupts:
         if not self._entries:
             return None
         best: InterruptEntry | None = None
-        for entry in self._entries.values():
+        for entry in list(self._entries.values()):  # a condition may call what declares interrupts
             if not entry.is_on:
                 continue
             holds = self._holds(entry)

@@ -58,7 +58,7 @@ class Bits:
         if not self._writable:
             raise KrlError(RunMessage.READ_ONLY, f"{self.name}[{number}] is write-protected")
         if type(value) is not bool:
-            raise KrlError(RunMessage.TYPE, f"{self.name}[{number}]: {text_of(value)} is no BOOL")
+            raise KrlError(RunMessage.ASSIGNMENT, f"{self.name}[{number}]: {text_of(value)} is no BOOL")
         self.put(number, value)
 
     def clear(self) -> None:
@@ -89,7 +89,7 @@ class Analog:
         if not self._writable:
             raise KrlError(RunMessage.READ_ONLY, f"{self.name}[{number}] is write-protected")
         if isinstance(value, bool) or not isinstance(value, int | float) or not -1.0 <= value <= 1.0:
-            raise KrlError(RunMessage.RANGE, f"{self.name}[{number}]: {text_of(value)} is not in -1 to 1")
+            raise KrlError(RunMessage.ASSIGNMENT, f"{self.name}[{number}]: {text_of(value)} is not in -1 to 1")
         self.values[number] = float(value)
 
 
@@ -126,7 +126,7 @@ class Timers:
         """Set $TIMER[n]; a running timer goes on from there."""
         number = _index(indices, TIMER_COUNT, "$TIMER")
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise KrlError(RunMessage.TYPE, f"$TIMER[{number}]: {text_of(value)} is no INT")
+            raise KrlError(RunMessage.ASSIGNMENT, f"$TIMER[{number}]: {text_of(value)} is no INT")
         self._base_ms[number] = float(value)
         if number in self._started_s:
             self._started_s[number] = self._clock.now_s
@@ -154,7 +154,7 @@ class TimerStops:
         """Stop a timer, or let it run."""
         number = _index(indices, TIMER_COUNT, "$TIMER_STOP")
         if type(value) is not bool:
-            raise KrlError(RunMessage.TYPE, f"$TIMER_STOP[{number}]: {text_of(value)} is no BOOL")
+            raise KrlError(RunMessage.ASSIGNMENT, f"$TIMER_STOP[{number}]: {text_of(value)} is no BOOL")
         self._timers.stop(number, stopped=value)
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 from slabcell_drivers.krc.builtin_table import Builtin
 from slabcell_drivers.krc.builtins_basic import BASIC_BUILTINS
+from slabcell_drivers.krc.builtins_buffers import BUFFER_BUILTINS
 from slabcell_drivers.krc.builtins_eki import EKI_BUILTINS
 from slabcell_drivers.krc.builtins_messages import MESSAGE_BUILTINS
 from slabcell_drivers.krc.builtins_motion import MOTION_BUILTINS
@@ -43,7 +44,13 @@ __all__ = ["BUILTINS", "Hooks", "Kernel"]
 STATEMENT_S = 50e-6
 """Time that one operation takes: 240 of them in a tick.  Not published; loops that wait without WAIT need some."""
 
-BUILTINS: Mapping[str, Builtin] = {**BASIC_BUILTINS, **MOTION_BUILTINS, **MESSAGE_BUILTINS, **EKI_BUILTINS}
+BUILTINS: Mapping[str, Builtin] = {
+    **BASIC_BUILTINS,
+    **MOTION_BUILTINS,
+    **MESSAGE_BUILTINS,
+    **BUFFER_BUILTINS,
+    **EKI_BUILTINS,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,8 +274,8 @@ class Kernel:
             return "UNKNOWN"
         try:
             return _state_of(compiler.place(node)(Activation(compiler.code, [])).value)
-        except KrlError:
-            return "UNKNOWN"
+        except KrlError as error:
+            return "DECLARED" if error.number in _WITHOUT_VALUE else "UNKNOWN"
 
     def evaluate_text(self, content: str) -> Value:
         """Return the value of an expression given as a text.  Raises KrlError."""
@@ -277,6 +284,9 @@ class Kernel:
             raise KrlError(RunMessage.SYNTAX, f"{content} is no value")
         compiler = ExpressionCompiler(self.project, None, Code("", ""))
         return compiler.expr(node)[0](Activation(compiler.code, []))
+
+
+_WITHOUT_VALUE = frozenset({RunMessage.VALUE_INVALID, RunMessage.TOOL_MISSING})
 
 
 def _state_of(value: Value) -> str:

@@ -41,6 +41,10 @@ class Machine(Protocol):
         """Return from the routine, or from the action of an interrupt."""
         ...
 
+    def evaluate(self, a: Activation, pc: int) -> Value:
+        """Return what the operations from ``pc`` on leave, looked at beside the program."""
+        ...
+
     def end_waits(self, a: Activation) -> bool:
         """Tell whether the program has to wait at its end, because the arm still moves."""
         ...
@@ -51,6 +55,11 @@ class Machine(Protocol):
 
     def proceed_on_error(self, a: Activation, span: list[int]) -> None:
         """Let an error of the next statement set $ERR instead of stopping the program."""
+        ...
+
+    @property
+    def served_priority(self) -> int:
+        """The number of the interrupt that is being served, 0 if there is none."""
         ...
 
     def brake(self, *, fast: bool) -> None:

@@ -11,11 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
+from slabcell_drivers.krc.messages import MotionMessage
 from slabcell_drivers.krc.motion_check import PoseFollower, between, followed, steps_for
 from slabcell_drivers.krc.motion_error import MotionError, as_motion_error
 from slabcell_drivers.krc.motion_path import Arc, Line, OrientedPath, PosePath, flange_of
 from slabcell_drivers.krc.motion_profile import Trapezoid
-from slabcell_drivers.krc.unconfirmed import MotionMessage
 from slabcell_drivers.robot.arm import ArmError, ArmModel, Axes
 from slabcell_drivers.robot.arm_solve import Pose, pose_of_frame
 from slabcell_drivers.robot.frame import Frame

@@ -3,8 +3,9 @@
 from collections.abc import Callable
 from typing import Protocol
 
+from slabcell_drivers.krc.messages import MotionMessage
 from slabcell_drivers.krc.motion_error import MotionError, as_motion_error, singular
-from slabcell_drivers.krc.unconfirmed import SINGULAR_A5_DEG, MotionMessage
+from slabcell_drivers.krc.unconfirmed import SINGULAR_A5_DEG
 from slabcell_drivers.robot.arm import ArmError, ArmModel, Axes
 from slabcell_drivers.robot.arm_solve import Pose
 
@@ -71,7 +72,7 @@ def _check_step(arm: ArmModel, before: Axes, axes: Axes, step_s: float) -> None:
         if abs(axes[4]) < 1.0 and i in {3, 5}:
             raise singular(axes[4])
         text = (
-            f"Command velocity exceeded A{i + 1}: {moved / step_s:.0f}°/s on the path, {allowed:.0f}°/s allowed; "
+            f"Command velocity A{i + 1}: {moved / step_s:.0f}°/s on the path, {allowed:.0f}°/s allowed; "
             "reduce $VEL.CP or use PTP"
         )
         raise MotionError(MotionMessage.AXIS_SPEED, text)
@@ -81,7 +82,8 @@ def _limit_on_the_way(arm: ArmModel, i: int, value_deg: float) -> MotionError:
     limit_deg = arm.axis_max_deg[i] if value_deg > 0.0 else arm.axis_min_deg[i]
     sign = "+" if value_deg > 0.0 else "-"
     text = (
-        f"Software limit switch {sign}A{i + 1}: {value_deg:.3f}° on the path, beyond its limit {limit_deg:.3f}°, "
+        f"Software limit switch point cannot be reached {sign}A{i + 1}: "
+        f"{value_deg:.3f}° on the path, beyond its limit {limit_deg:.3f}°, "
         "turn it back before"
     )
     return MotionError(MotionMessage.AXIS_LIMIT, text)

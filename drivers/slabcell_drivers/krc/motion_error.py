@@ -1,6 +1,6 @@
 """What does the controller say when it refuses or stops a move?  One error with the number and text of its message."""
 
-from slabcell_drivers.krc.unconfirmed import MotionMessage
+from slabcell_drivers.krc.messages import MotionMessage
 from slabcell_drivers.robot.arm import ArmError, ArmFault
 
 __all__ = ["MotionError", "as_motion_error", "singular"]
@@ -20,7 +20,8 @@ def as_motion_error(error: ArmError) -> MotionError:
     """Return the controller message for a pose that the arm cannot take."""
     if error.fault is ArmFault.AXIS_LIMIT and error.axis is not None and error.limit_deg is not None:
         sign = "+" if error.limit_deg > 0 else "-"
-        return MotionError(MotionMessage.AXIS_LIMIT, f"Software limit switch {sign}A{error.axis}: {error}")
+        text = f"Software limit switch point cannot be reached {sign}A{error.axis}: {error}"
+        return MotionError(MotionMessage.AXIS_LIMIT, text)
     return MotionError(MotionMessage.UNREACHABLE, f"Work envelope exceeded: {error}")
 
 

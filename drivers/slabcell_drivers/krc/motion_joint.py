@@ -6,12 +6,12 @@ its line.  There is no wrist singularity on such a path; the orientation on the 
 
 import math
 
+from slabcell_drivers.krc.messages import MotionMessage
 from slabcell_drivers.krc.motion import NULL_TOOL, MotionKind, PathLimits, Trajectory, tcp_pose
 from slabcell_drivers.krc.motion_check import between, followed, steps_for
 from slabcell_drivers.krc.motion_error import MotionError, as_motion_error
 from slabcell_drivers.krc.motion_path import Line, Vector
 from slabcell_drivers.krc.motion_profile import Trapezoid
-from slabcell_drivers.krc.unconfirmed import MotionMessage
 from slabcell_drivers.robot.arm import ArmError, ArmModel, Axes
 from slabcell_drivers.robot.arm_solve import solve_main_axes
 from slabcell_drivers.robot.frame import Frame

@@ -89,6 +89,8 @@ class MotionPlanner:
         if isinstance(value, StructValue) and value.fields:
             return frame_of(value)
         if needed:
+            if name == "$TOOL":
+                raise KrlError(RunMessage.TOOL_MISSING, "TOOL not programmed: set $TOOL, with BAS for example")
             raise KrlError(RunMessage.VALUE_INVALID, f"{name} value invalid: set it with BAS before the first motion")
         return Frame()
 

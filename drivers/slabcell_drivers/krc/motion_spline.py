@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 from itertools import pairwise
 
+from slabcell_drivers.krc.messages import MotionMessage
 from slabcell_drivers.krc.motion import MotionError, MotionKind, PathLimits, Trajectory, plan_path, tcp_pose
 from slabcell_drivers.krc.motion_path import Arc, Line, OrientedPath, PointPath, Vector
-from slabcell_drivers.krc.unconfirmed import MotionMessage
 from slabcell_drivers.robot.arm import ArmModel, Axes
 from slabcell_drivers.robot.arm_solve import Pose, pose_of_frame
 from slabcell_drivers.robot.frame import Frame

@@ -203,6 +203,7 @@ class RoutineChecker:
                 self._check_condition(value)
             case InterruptDecl(number=number, condition=condition):
                 self._check_condition(condition)
+                self._check_event(condition)
                 if isinstance(number, Literal) and number.value not in PRIORITIES:
                     message = f"priority {number.value}: 1, 2, 4 to 39 and 81 to 128 are free for programs"
                     self._warn(node.place, "priority", message)
@@ -278,6 +279,12 @@ class RoutineChecker:
         if type_ is not None and type_ is not BOOL:
             shown = type_.name or "an enumeration value"
             self._error(condition.place, "condition", f"a condition has to be BOOL; {describe(condition)} is {shown}")
+
+    def _check_event(self, condition: Expr) -> None:
+        for node in walk(condition):
+            if isinstance(node, Call):
+                message = f"the condition of an interrupt calls {node.name}(): not confirmed on a controller"
+                self._warn(node.place, "condition-call", message)
 
     def _check_ranks(self, node: Binary) -> None:
         """Warn of ``a==5 AND b==6``: comparisons bind weakest in KRL, so that it means ``a==(5 AND b)==6``."""

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from slabcell_drivers.krc.cells import Cell, ComputedCell, Place, Trait
 from slabcell_drivers.krc.clock import Clock
 from slabcell_drivers.krc.io_state import InputsOutputs
+from slabcell_drivers.krc.messages import KrlError, RunMessage
 from slabcell_drivers.krc.motion_planner import AXIS_FIELDS
 from slabcell_drivers.krc.operators import set_frame
 from slabcell_drivers.krc.values import (
@@ -149,6 +150,9 @@ class SystemVariables:
             return StructValue(axis_type, fields)
 
         def position() -> StructValue:
+            tool = self._cells["$TOOL"].value
+            if not isinstance(tool, StructValue) or not tool.fields:
+                raise KrlError(RunMessage.TOOL_MISSING, "TOOL not programmed: $TOOL was never set")
             value = set_frame(StructValue(pos_type, {}), state.tcp_in_base())
             status, turn = state.arm.status_turn(state.axes())
             value.fields |= {"S": status, "T": turn}

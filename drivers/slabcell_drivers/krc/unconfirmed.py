@@ -4,77 +4,11 @@ Each is to be checked on a real KR C4.  The page ``docs/reference/eki-emulation.
 compares the two.
 """
 
-from enum import IntEnum
-
-__all__ = ["ASSUMPTIONS", "EKI_MESSAGE_TEXTS", "SINGULAR_A5_DEG", "EkiMessage", "MotionMessage"]
+__all__ = ["ASSUMPTIONS", "SINGULAR_A5_DEG"]
 
 SINGULAR_A5_DEG = 0.01822
 """Below this magnitude of A5 the controller takes the wrist for singular."""
 
-
-class MotionMessage(IntEnum):
-    """Numbers of motion messages.  The controller's own numbers are not public; these are ours, above its range."""
-
-    AXIS_LIMIT = 90001
-    UNREACHABLE = 90002
-    SINGULARITY = 90003
-    AXIS_SPEED = 90004
-    CIRCLE = 90005
-    VALUE = 90006
-
-
-class EkiMessage(IntEnum):
-    """Numbers of EthernetKRL messages, from memory of the 2.2 manual's message chapter.
-
-    6, 9, 15, 23, 512 and 1792 are supported by titles of public pages, the others by nothing.
-    """
-
-    NONE = 0
-    FILE_ACCESS_FAILED = 3
-    CONFIGURATION_INVALID = 6
-    CONNECTION_NOT_AVAILABLE = 9
-    DISCONNECTED = 10
-    SERVER_NOT_CREATED = 12
-    NOT_ESTABLISHED = 14
-    EMPTY_MEMORY = 15
-    ELEMENT_NOT_FOUND = 16
-    ASSEMBLY_FAILED = 17
-    SEND_FAILED = 18
-    NOTHING_TO_SEND = 19
-    TYPE_MISMATCH = 20
-    ALREADY_INITIALIZED = 23
-    CONNECTION_LOST = 512
-    PING_FAILED = 768
-    RECEIVED_XML_INVALID = 1024
-    BUFFER_LIMIT = 1280
-    STRING_TOO_LONG = 1536
-    MEMORY_LIMIT = 1792
-    SERVER_TIME_LIMIT = 2048
-
-
-EKI_MESSAGE_TEXTS: dict[EkiMessage, str] = {
-    EkiMessage.FILE_ACCESS_FAILED: "File access failed",
-    EkiMessage.CONFIGURATION_INVALID: "Interpretation of configuration failed",
-    EkiMessage.CONNECTION_NOT_AVAILABLE: "Connection not available",
-    EkiMessage.DISCONNECTED: "Ethernet is disconnected",
-    EkiMessage.SERVER_NOT_CREATED: "Creating the server failed",
-    EkiMessage.NOT_ESTABLISHED: "Connection could not be established",
-    EkiMessage.EMPTY_MEMORY: "Access to empty element memory",
-    EkiMessage.ELEMENT_NOT_FOUND: "Element not found",
-    EkiMessage.ASSEMBLY_FAILED: "Assembly of the data to be sent failed",
-    EkiMessage.SEND_FAILED: "Sending the data failed",
-    EkiMessage.NOTHING_TO_SEND: "No data to send",
-    EkiMessage.TYPE_MISMATCH: "Mismatch in type of data",
-    EkiMessage.ALREADY_INITIALIZED: "Initialization already performed",
-    EkiMessage.CONNECTION_LOST: "Ethernet connection destroyed",
-    EkiMessage.PING_FAILED: "Ping reports no contact",
-    EkiMessage.RECEIVED_XML_INVALID: "Error in received XML data",
-    EkiMessage.BUFFER_LIMIT: "Limit of element storage reached",
-    EkiMessage.STRING_TOO_LONG: "Received string too long",
-    EkiMessage.MEMORY_LIMIT: "Limit of element memory reached",
-    EkiMessage.SERVER_TIME_LIMIT: "Server time limit reached",
-}
-"""The text that EKI_CHECK shows.  Wording from memory; titles of public pages support 6, 9, 15, 23 and 1792."""
 
 ASSUMPTIONS: dict[str, str] = {
     "default-role": "EXTERNAL TYPE is Server if it is not given.",
@@ -100,7 +34,7 @@ ASSUMPTIONS: dict[str, str] = {
     "status-bits": "Status bit 0 set and bit 1 clear mean what the manual's words suggest; no taught points had them.",
     "axis-acceleration": "Every axis reaches its full speed in 0.25 s; accelerations of the arms are not public.",
     "singular-limit": "The wrist is singular below 0.01822 degrees of A5.",
-    "motion-numbers": "Messages of motion errors carry numbers of our own.",
-    "eki-numbers": "Numbers and texts of EthernetKRL messages are from memory, except the six that pages support.",
+    "motion-numbers": "Unreachable points and singularities on a path carry message numbers of our own.",
+    "char-array-too-small": "A text longer than the CHAR array of EKI_GetString is taken from its memory, and lost.",
 }
 """Every assumption by name, one sentence each."""

@@ -180,9 +180,9 @@ class CharArray:
         """Store a text; one too long is an error."""
         text = value.text if isinstance(value, CharArray) else value
         if not isinstance(text, str):
-            raise KrlError(RunMessage.TYPE, f"{text_of(value)} is no text")
+            raise KrlError(RunMessage.ASSIGNMENT, f"{text_of(value)} is no text")
         if len(text) > self.size:
-            raise KrlError(RunMessage.RANGE, f'the text "{text}" is longer than the CHAR array of {self.size}')
+            raise KrlError(RunMessage.ASSIGNMENT, f'the text "{text}" is longer than the CHAR array of {self.size}')
         self.text = text
 
     def copy(self) -> "CharArray":
@@ -224,7 +224,7 @@ def copy_value(value: Value) -> Value:
 
 
 def _mismatch(value: Value, type_: KrlType) -> KrlError:
-    return KrlError(RunMessage.TYPE, f"{text_of(value)} does not fit into {type_.name}")
+    return KrlError(RunMessage.ASSIGNMENT, f"{text_of(value)} does not fit into {type_.name}")
 
 
 def _to_int(value: Value) -> int:

@@ -2,7 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from slabcell_drivers.krc.unconfirmed import ASSUMPTIONS, EKI_MESSAGE_TEXTS, EkiMessage
+from slabcell_drivers.krc.eki_messages import EKI_MESSAGE_TEXTS, EkiMessage
+from slabcell_drivers.krc.unconfirmed import ASSUMPTIONS
 
 pytestmark = pytest.mark.unit
 

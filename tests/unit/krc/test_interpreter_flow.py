@@ -167,17 +167,17 @@ ENDSPLINE"""
         (f"PTP {HOME}", 1422, "$VEL_AXIS[1] value invalid"),
         (
             f"FOR i=1 TO 6\n$VEL_AXIS[i]=50\n$ACC_AXIS[i]=50\nENDFOR\nPTP {HOME}\nPTP {{X 400,Y 0,Z 400,A 0,B 90,C 0}}",
-            1422,
-            "$TOOL value invalid",
+            1419,
+            "TOOL not programmed",
         ),
-        ("BAS(#INITMOV,0)\nLIN {X 400,Y 0,Z 400,A 0,B 90,C 0}", 91012, "has to be a PTP"),
-        (f"{START}PTP {{A1 171}}", 90001, "A1"),
+        ("BAS(#INITMOV,0)\nLIN {X 400,Y 0,Z 400,A 0,B 90,C 0}", 1443, "has to be a PTP"),
+        (f"{START}PTP {{A1 171}}", 1447, "A1"),
         (f"{START}PTP {{X 900,Y 0,Z 400,A 0,B 90,C 0}}", 90002, "Work envelope"),
         (f"{START}PTP f", 1422, "is no position"),
         (f"{START}PTP !", 91015, "never taught"),
         (f"{START}BAS(#VEL_PTP,0)", 91008, "not in 1 to 100"),
         (f"{START}BAS(#TOOL,5)", 1422, "TOOL_DATA[5] value invalid"),
-        (f"{START}BAS(#BASE,99)", 91001, "BASE_DATA[99]"),
+        (f"{START}BAS(#BASE,99)", 1444, "BASE_DATA[99]"),
     ],
 )
 def test_a_motion_that_the_controller_would_refuse_is_an_error(body, number, text):

@@ -6,7 +6,7 @@ import pytest
 
 from slabcell_drivers.krc.controller import SoftwareKrc
 from slabcell_drivers.krc.kernel import BUILTINS
-from slabcell_drivers.krc.messages import RunMessage
+from slabcell_drivers.krc.messages import MotionMessage, RunMessage
 from slabcell_drivers.robot.arm import KR3_R540
 
 pytestmark = pytest.mark.unit
@@ -87,26 +87,26 @@ def test_comparisons_bind_weakest_and_are_read_as_meant_where_that_cannot_be():
     ("body", "number", "text"),
     [
         ("r=1/0", 91002, "division by 0"),
-        ("r=TRUE", 91004, "TRUE does not fit into REAL"),
+        ("r=TRUE", 1446, "TRUE does not fit into REAL"),
         ("n=2000000000*2", 91003, "too large"),
         ("r=u", 1422, "U value invalid"),
         ("r=f.X", 1422, "F.X value invalid"),
-        ("n=a[4]", 91001, "index 4 is outside of 1 to 3"),
-        ("a[0]=1", 91001, "index 0 is outside of 1 to 3"),
+        ("n=a[4]", 1444, "index 4 is outside of 1 to 3"),
+        ("a[0]=1", 1444, "index 0 is outside of 1 to 3"),
         ("nothere=1", 91005, "NOTHERE is not declared"),
         ("nothere(1)", 91005, "NOTHERE() is not declared"),
-        ('t[]="abcdef"', 91008, "longer than the CHAR array of 5"),
+        ('t[]="abcdef"', 1446, "longer than the CHAR array of 5"),
         ("f.Q=1", 91005, "FRAME has no member Q"),
         ("r=SQRT(-1)", 91008, "below 0"),
-        ("$IN[1]=TRUE", 91007, "write-protected"),
-        ("$OUT[9000]=TRUE", 91001, "not in 1 to 8192"),
-        ("$ANOUT[1]=1.5", 91008, "not in -1 to 1"),
+        ("$IN[1]=TRUE", 1388, "write-protected"),
+        ("$OUT[9000]=TRUE", 1444, "not in 1 to 8192"),
+        ("$ANOUT[1]=1.5", 1446, "not in -1 to 1"),
         ("IF 5 THEN\nENDIF", 91004, "no BOOL"),
         ("r=BAS(#INITMOV,0)+1", 91004, "no number"),
         ("GOTO away", 91005, "label AWAY"),
         ("EXIT", 91020, "EXIT stands in no loop"),
-        ("deep()", 91009, "calls within each other"),
-        ("fixed=2", 91007, "constant"),
+        ("deep()", 1424, "calls within each other"),
+        ("fixed=2", 1388, "constant"),
     ],
 )
 def test_an_error_stops_the_program_with_number_text_and_line(body, number, text):
@@ -256,7 +256,7 @@ DECL POINT_T p={ID 3,POSE {X 1,Y 2,Z 3,A 0,B 0,C 0},NAME[] "abc",COL #GREEN,ROW[
     assert krc.data("t", "p.COL") == "#RED"
     assert krc.data("t", "p.POSE.Z") == 1
     assert krc.data("t", "p.ROW[2]") == 9
-    assert run("p.COL=#BLUE", data=data)[0].message_number == 91004
+    assert run("p.COL=#BLUE", data=data)[0].message_number == 1446
 
 
 def test_arrays_of_three_dimensions_and_of_texts():
@@ -405,7 +405,25 @@ def test_a_dialog_waits_for_its_answer():
     result, krc = run('MsgDialog(n,"go on?","cell",,"YES","NO")', data="INT n", dialog=answer)
     assert result.status == "done"
     assert krc.data("t", "n") == 2
-    assert asked[0] == ("YES", "NO")
+    assert asked[0] == ("", "", "", "", "", "NO", "YES")  # the first text stands on softkey 7
+
+
+def test_two_texts_or_a_number_fill_a_notification():
+    body = 'MsgNotifyTextPar("%1 and %2","cell",0,"cup","hose",44)\nMsgNotifyTextPar("%1 left",,3)'
+    assert [str(m) for m in run(body)[1].messages] == ["NOTIFY cell 44: cup and hose", "NOTIFY  0: 3 left"]
+
+
+def test_what_a_message_has_no_words_for_stays_as_the_controller_words_it():
+    result, krc = run("n=a[4]", "INT n\nINT a[3]")
+    assert result.message == "Array index inadmissible: A[4]: index 4 is outside of 1 to 3"
+    assert krc.messages[-1].text.startswith(result.message)
+
+
+def test_the_position_is_not_known_before_a_tool_is():
+    result, krc = run("n=$ERR.NUMBER\nON_ERROR_PROCEED\np=$POS_ACT\nn=$ERR.NUMBER", data="E6POS p\nINT n")
+    assert (result.status, krc.data("t", "n")) == ("done", 1419)
+    assert value_of('VARSTATE("$POS_ACT")==#DECLARED', "BOOL") is True
+    assert run("$TOOL=$NULLFRAME\np=$POS_ACT", data="E6POS p")[0].status == "done"
 
 
 def test_a_quit_message_holds_the_program_until_it_is_acknowledged():
@@ -435,10 +453,9 @@ CHAR t2[4]=" "
     assert [krc.data("t", name) for name in ("n2", "r2", "b2", "c2", "t2")] == [-70000, 1.5, True, "x", "ab"]
 
 
-def test_a_condition_that_is_evaluated_cyclically_calls_no_krl_function():
-    more = "DEFFCT BOOL f()\nRETURN TRUE\nENDFCT\nDEF isr()\nEND"
-    assert run("INTERRUPT DECL 5 WHEN f() DO isr()", more=more)[0].message_number == 91014
-    assert run("$CYCFLAG[1]=f()", more=more)[0].message_number == 91014
+def test_a_cyclic_flag_takes_no_function():
+    more = "DEFFCT BOOL f()\nRETURN TRUE\nENDFCT"
+    assert run("$CYCFLAG[1]=f()", more=more)[0].message_number == 1608
 
 
 def test_types_that_a_project_declares_take_the_place_of_the_built_in_ones():
@@ -464,4 +481,4 @@ def test_a_function_given_anything_returns_or_stops_with_a_message(name):
         call = f"{name}({','.join(chance.choice([*ODD, '']) for _ in range(count))})"
         result, _ = run(f"n=1\nf=$NULLFRAME\n{call}", declarations, dialog=lambda message: 1)
         assert result.status in {"done", "error"}, (call, result)
-        assert result.status == "done" or result.message_number in {*RunMessage, *range(90001, 90010)}, (call, result)
+        assert result.status == "done" or result.message_number in {*RunMessage, *MotionMessage}, (call, result)

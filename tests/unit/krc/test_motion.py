@@ -3,10 +3,10 @@ import math
 import numpy as np
 import pytest
 
+from slabcell_drivers.krc.messages import MotionMessage
 from slabcell_drivers.krc.motion import MotionError, PathLimits, plan_circ, plan_lin, plan_ptp
 from slabcell_drivers.krc.motion_path import Turning, quaternion_of, rotation_of
 from slabcell_drivers.krc.motion_profile import Trapezoid
-from slabcell_drivers.krc.unconfirmed import MotionMessage
 from slabcell_drivers.robot.arm import KR3_R540, Axes
 from slabcell_drivers.robot.arm_solve import pose_of_frame
 from slabcell_drivers.robot.frame import Frame
@@ -79,7 +79,10 @@ def test_a_velocity_outside_0_to_100_percent_is_refused(percent: float) -> None:
 
 
 def test_a_ptp_beyond_a_limit_names_axis_value_and_limit() -> None:
-    with pytest.raises(MotionError, match=r"Software limit switch \+A5.*125\.000° is beyond its limit of 120\.000°"):
+    with pytest.raises(
+        MotionError,
+        match=r"Software limit switch .* \+A5.*125\.000° is beyond its limit of 120\.000°",
+    ):
         plan_ptp(KR3_R540, HOME, (0.0, -90.0, 90.0, 0.0, 125.0, 0.0))
 
 
@@ -137,7 +140,7 @@ def test_a_lin_that_turns_the_tool_beyond_a_limit_names_the_limit_and_not_the_sp
     start = KR3_R540.inverse(above(300.0, 0.0) @ TOOL.inverse(), status=2, turn=0b000010)
     move = plan_lin(KR3_R540, start, above(300.0, 0.0, a=120.0), SLOW, tool=TOOL)
     assert move.end_axes[5] == pytest.approx(300.0)
-    with pytest.raises(MotionError, match=r"Software limit switch \+A6: 35\d\.\d+° on the path") as caught:
+    with pytest.raises(MotionError, match=r"Software limit switch .* \+A6: 35\d\.\d+° on the path") as caught:
         plan_lin(KR3_R540, move.end_axes, above(300.0, 0.0, a=-120.0), SLOW, tool=TOOL)
     assert caught.value.number == MotionMessage.AXIS_LIMIT
 
@@ -145,7 +148,7 @@ def test_a_lin_that_turns_the_tool_beyond_a_limit_names_the_limit_and_not_the_sp
 def test_a_lin_too_fast_for_an_axis_is_refused() -> None:
     near = KR3_R540.inverse(Frame(60.0, 250.0, 600.0, 0.0, 0.0, 180.0), near=HOME)
     beyond = Frame(60.0, -250.0, 600.0, 0.0, 0.0, 180.0)
-    with pytest.raises(MotionError, match=r"Command velocity exceeded A\d: \d+°/s on the path"):
+    with pytest.raises(MotionError, match=r"Command velocity A\d: \d+°/s on the path"):
         plan_lin(KR3_R540, near, beyond, PathLimits(speed_m_s=2.0, acceleration_m_s2=20.0))
 
 

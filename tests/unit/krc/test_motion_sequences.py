@@ -188,5 +188,5 @@ def test_axis_by_axis_a_line_that_is_too_fast_or_out_of_reach_is_refused() -> No
     with pytest.raises(MotionError, match="Work envelope exceeded"):
         plan_lin_joint(KR3_R540, axes_above(300.0, 0.0), above(600.0, 0.0), LIMITS, tool=TOOL)
     near = KR3_R540.inverse(Frame(60.0, 250.0, 600.0, 0.0, 0.0, 180.0), near=(0.0, -90.0, 90.0, 0.0, 0.0, 0.0))
-    with pytest.raises(MotionError, match="Command velocity exceeded A1"):
+    with pytest.raises(MotionError, match="Command velocity A1"):
         plan_lin_joint(KR3_R540, near, Frame(60.0, -250.0, 600.0, 0.0, 0.0, 180.0), PathLimits(2.0, 20.0))
