@@ -21,6 +21,7 @@ from slabcell.vision.gates import blur_gate, light_gates, reference_gates, requi
 from slabcell.vision.kernel import implementation
 from slabcell.vision.outcome import Outcome
 from slabcell.vision.pixels import Grey, as_grey
+from slabcell.vision.plane import GRID_PX
 from slabcell.vision.prepared import Prepared
 from slabcell.vision.registration import register
 from slabcell.vision.result import LocateResult
@@ -128,7 +129,7 @@ class Locator(Prepared):
         if parameters.promptable is not None and parameters.method == "promptable":
             parameters = parameters.model_copy(update={"method": parameters.promptable.coarse})
         min_area_px = parameters.min_area_mm2 / self.plane.mm_per_px**2
-        first = segment(grey, parameters, image)
+        first = self._seen(segment(grey, parameters, image))
         blobs, left_out = find_blobs(first.mask, min_area_px)
         if not blobs or self._plausible(blobs):
             return first, blobs, left_out
@@ -137,13 +138,25 @@ class Locator(Prepared):
             if (parameters.method != "auto" and method != "auto") or parameters.polarity not in ("auto", polarity):
                 continue
             kept = parameters.method if method == "auto" else method
-            other = segment(grey, parameters.model_copy(update={"method": kept, "polarity": polarity}), image)
+            changed = parameters.model_copy(update={"method": kept, "polarity": polarity})
+            other = self._seen(segment(grey, changed, image))
             found, dropped = find_blobs(other.mask, min_area_px)
             count = self._plausible(found)
             if count > best_count:
                 note = f"{other.description}, tried because no blob of '{first.description}' has the size of a slot"
                 best, best_count = (replace(other, description=note), found, dropped), count
         return best
+
+    def _seen(self, segmentation: Segmentation) -> Segmentation:
+        """Return the segmentation without what lies where the picture sees no table."""
+        usable = self.plane.usable
+        if usable is None:
+            return segmentation
+        height, width = segmentation.mask.shape
+        whole = np.repeat(np.repeat(usable, GRID_PX, axis=0), GRID_PX, axis=1)[:height, :width]
+        share = 100.0 * (1.0 - float(whole.mean()))
+        note = f"{segmentation.description}; {share:.0f} % of the picture see no table"
+        return replace(segmentation, mask=np.where(whole, segmentation.mask, np.uint8(0)), description=note)
 
     def _plausible(self, blobs: list[RawBlob]) -> int:
         """Return how many blobs have about the area of a slot and lie wholly in the picture."""

@@ -8,14 +8,21 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
 from slabcell.calibration.model import Calibration
+from slabcell.errors import CalibrationError
 from slabcell.geometry import Points
 
-__all__ = ["PlaneView"]
+__all__ = ["GRID_PX", "PlaneView"]
 
 # Distance of the samples in pixels; between them the mapping is bilinear, which is good to 0.05 px for usual lenses.
 GRID_PX = 24
+# Sizes of a pixel, and distances on the table, that a cell can have.
+SMALLEST_PX_MM, LARGEST_PX_MM = 1e-3, 1e2
+FARTHEST_MM = 1e6
+# By how much a point of the table may be seen beside the pixel that it was taken from.
+ROUND_TRIP_PX = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +40,44 @@ class PlaneView:
         pixels = np.column_stack([u.ravel(), v.ravel()]).astype(np.float64, copy=False)
         mapped = self.calibration.table_from_image(pixels, self.height_mm)
         return mapped.reshape(rows, columns, 2), rows, columns
+
+    @cached_property
+    def usable(self) -> npt.NDArray[np.bool_] | None:
+        """Where the picture sees the plane, in squares of GRID_PX from its corner on; None where it does everywhere.
+
+        Beyond the horizon, and where a lens model folds over because no corner of a board was ever seen there, pixels
+        are no places.  Raises CalibrationError if that is so in the middle of the picture.
+        """
+        grid, rows, columns = self._grid
+        corners = np.mgrid[0:rows, 0:columns][::-1].reshape(2, -1).T * float(GRID_PX)
+        places = grid.reshape(-1, 2)
+        with np.errstate(all="ignore"):
+            far = np.abs(places) < FARTHEST_MM
+            known = far[:, 0] & far[:, 1]
+            seen = self.to_pixels(np.where(known[:, None], places, 0.0))
+            known &= np.hypot(*(seen - corners).T) <= ROUND_TRIP_PX
+            known &= self._in_front(places)
+            right, down = np.diff(grid, axis=1)[:-1], np.diff(grid, axis=0)[:, :-1]
+            turn = right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0]
+            size = np.sqrt(np.abs(turn)) / GRID_PX
+        known = known.reshape(rows, columns)
+        cells = known[:-1, :-1] & known[1:, :-1] & known[:-1, 1:] & known[1:, 1:]
+        cells &= (size >= SMALLEST_PX_MM) & (size <= LARGEST_PX_MM)
+        camera = self.calibration.camera
+        middle = (camera.height // 2 // GRID_PX, camera.width // 2 // GRID_PX)
+        cells &= np.sign(turn) == np.sign(turn[middle])
+        if not cells[middle]:
+            raise CalibrationError(
+                f"this calibration says that the middle of the picture sees no place of the table, or one whose pixels"
+                f" are not between {SMALLEST_PX_MM:g} and {LARGEST_PX_MM:g} mm: calibrate again"
+            )
+        return None if cells.all() else cells
+
+    def _in_front(self, places: Points) -> npt.NDArray[np.bool_]:
+        """Return which places of the plane lie before the camera, not behind it."""
+        plane = self.calibration.require_plane()
+        flat = np.linalg.solve(plane.adjustment[:, :2], (places - plane.adjustment[:, 2]).T).T
+        return flat @ plane.rotation[2, :2] + self.height_mm * plane.rotation[2, 2] + plane.translation[2] > 0.0
 
     @cached_property
     def mm_per_px(self) -> float:

@@ -29,14 +29,18 @@ class Prepared:
 
     @cached_property
     def plane(self) -> PlaneView:
-        """The plane of the slabs' upper faces."""
+        """The plane of the slabs' upper faces.  Raises CalibrationError where the picture does not see it."""
         self.calibration.require_plane()
-        return PlaneView(self.calibration, self.recipe.thickness_mm)
+        view = PlaneView(self.calibration, self.recipe.thickness_mm)
+        _ = view.usable
+        return view
 
     @cached_property
     def table(self) -> PlaneView:
-        """The work plane."""
-        return PlaneView(self.calibration, 0.0)
+        """The work plane.  Raises CalibrationError where the picture does not see it."""
+        view = PlaneView(self.calibration, 0.0)
+        _ = view.usable
+        return view
 
     @cached_property
     def slots(self) -> tuple[Polygon, ...]:

@@ -220,12 +220,12 @@ def _efficient_answers(g: Graph, grey: str, height: str, width: str, coords: str
     return g.op("Unsqueeze", _answers(g, grey, x, y, *flat, middle), one)
 
 
-def efficient(path: Path) -> Path:
-    """EfficientSAM in one file."""
+def efficient(path: Path, *, queries: int | str = "num_queries", points: int | str = "num_pts") -> Path:
+    """EfficientSAM in one file.  Its own export leaves either the prompts open or the points of one, not both."""
     g = Graph()
     picture = g.input("batched_images", ("batch", 3, "height", "width"))
-    coords = g.input("batched_point_coords", ("batch", "num_queries", "num_pts", 2))
-    labels = g.input("batched_point_labels", ("batch", "num_queries", "num_pts"))
+    coords = g.input("batched_point_coords", ("batch", queries, points, 2))
+    labels = g.input("batched_point_labels", ("batch", queries, points))
     size = g.op("Shape", picture)
     height, width = (g.op("Gather", size, g.constant(axis, np.int64)) for axis in (2, 3))
     grey = g.op("Mul", _grey(g, picture), g.constant(255.0))

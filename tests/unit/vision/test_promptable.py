@@ -48,6 +48,16 @@ EXPORTS = {
     "SAM 2": (models.sam2_encoder, models.sam2_decoder, "SAM 2"),
     "EfficientSAM": (models.efficient_encoder, models.efficient_decoder, "EfficientSAM"),
     "EfficientSAM in one file": (models.efficient, None, "EfficientSAM in one file"),
+    "EfficientSAM in one file, one prompt at once": (
+        lambda path: models.efficient(path, queries=1),
+        None,
+        "EfficientSAM in one file",
+    ),
+    "EfficientSAM in one file, two points a prompt": (
+        lambda path: models.efficient(path, points=2),
+        None,
+        "EfficientSAM in one file",
+    ),
 }
 
 
@@ -120,6 +130,17 @@ def test_slabs_that_touch_are_asked_for_one_by_one(sam: tuple[Path, Path]):
     found = locator(one_blob, *sam).locate(picture)
     assert [part.slot for part in found.parts] == [0, 1]
     assert error_mm(found, product, motions) < 0.1
+
+
+def test_a_model_with_one_point_a_prompt_is_asked_for_the_middles(tmp_path: Path):
+    # Asked by a point alone, the model answers with what is light on that side of the picture.
+    product = recipe([RECTANGLE, KITE])
+    motions = [RigidTransform2D(20.0, -110.0, -30.0), RigidTransform2D(0.0, -60.0, -30.0)]
+    outlines = [motion.apply(slot.vertices) for motion, slot in zip(motions, product.template.slots, strict=True)]
+    found = locator(product, models.efficient(tmp_path / "a.onnx", points=1)).locate(render(CAMERA, outlines))
+    assert [part.slot for part in found.parts] == [0, 1]
+    assert "2 masks kept" in found.segmentation
+    assert error_mm(found, product, motions) < 0.05
 
 
 def test_a_blob_of_which_the_model_makes_no_slab_stays_and_is_refused_with_the_reason(sam: tuple[Path, Path]):

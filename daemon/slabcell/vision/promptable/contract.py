@@ -2,7 +2,8 @@
 
 Contracts: Segment Anything, ``scripts/export_onnx_model.py`` for the decoder, and the encoder that samexporter writes,
 with its preprocessing inside (h, w, 3) or not (1, 3, 1024, 1024); MobileSAM has the same.  SAM 2: encoder and decoder
-as samexporter writes them.  EfficientSAM: its own export, in one file or split.
+as samexporter writes them.  EfficientSAM: its own export, in one file or split; one of its two kinds takes a single
+point for each prompt, the other a single prompt of many points.
 """
 
 from dataclasses import dataclass
@@ -191,7 +192,7 @@ def _check_points(files: ModelFiles) -> None:
     efficient = files.family in (Family.EFFICIENT, Family.EFFICIENT_WHOLE)
     coords = files.decoder.inputs["batched_point_coords" if efficient else "point_coords"]
     count = coords.shape[-2]
-    if coords.shape[-1] not in (2, None) or (count is not None and count < 3):
+    if coords.shape[-1] not in (2, None) or (not efficient and count in (1, 2)):
         msg = f"{files.decoder.path}: its input {coords} must take at least 3 points (two corners and a middle) of 2"
         raise ModelError(msg)
     if efficient and (coords.shape[1] or 0) > MAX_PLACES:

@@ -144,17 +144,20 @@ class PromptableModel:
         return dict(zip(taken, values, strict=True))
 
     def _points(self, encoded: _Encoded, prompt: Prompt, count: int | None) -> tuple[Floats32, Floats32]:
-        """Return coordinates (n, 2) in the encoded picture, and labels (n,); ``count``: so many, padded."""
-        pixels = np.asarray(prompt.points, np.float64).reshape(-1, 2)
+        """Return coordinates (n, 2) in the encoded picture, and labels (n,); ``count``: so many, padded.
+
+        Models with one place for a prompt are asked for the middle alone, those with two for the box.
+        """
+        pixels = np.asarray(prompt.points, np.float64).reshape(-1, 2)[: 0 if count == 2 and prompt.box else count]
         labels = [ON] * len(pixels)
-        if prompt.box is not None:
+        if prompt.box is not None and count != 1:
             pixels = np.vstack([np.array(prompt.box).reshape(2, 2), pixels])
             labels = [FIRST, SECOND, *labels]
         scaled = (pixels + 0.5) * np.array([encoded.scale_u, encoded.scale_v]) - 0.5
         # Segment Anything's export expects a padding point where there is no box.
         missing = max((count or 0) - len(labels), 1 if prompt.box is None and count is None else 0)
         padded = np.vstack([scaled, np.zeros((missing, 2))]).astype(np.float32)
-        return padded[:count], np.array(labels + [PADDING] * missing, np.float32)[:count]
+        return padded, np.array(labels + [PADDING] * missing, np.float32)
 
     def _decode(self, encoded: _Encoded, prompt: Prompt, deadline: Deadline) -> Logits:
         decoder = self._files.decoder
