@@ -52,6 +52,7 @@ def check(
                     "column": d.column,
                     "severity": d.severity,
                     "code": d.code,
+                    "controller_number": d.controller_number,
                     "message": d.message,
                 }
                 for d in found

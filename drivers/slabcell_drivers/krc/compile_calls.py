@@ -1,7 +1,8 @@
 """How is a call compiled?  A function of the controller's own is called where it stands, a KRL routine is entered."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
+from slabcell_drivers.krc.argument_types import Misfit, builtin_misfits, misfits
 from slabcell_drivers.krc.cells import Cell, Place
 from slabcell_drivers.krc.code import Activation, Pause
 from slabcell_drivers.krc.compile_expressions import Typed
@@ -11,6 +12,21 @@ from slabcell_drivers.krc.syntax import Call, Expr
 from slabcell_drivers.krc.values import Value, copy_value
 
 __all__ = ["CallCompiler"]
+
+
+def _refuse(node: Call, found: Iterable[Misfit]) -> None:
+    for misfit in found:
+        raise KrlError(RunMessage.ARGUMENT_TYPE, f"{node.name}(): {misfit}")
+
+
+def _hand_over(parameter: Cell, value: Value, routine: str) -> None:
+    """Store an argument whose type was not known before the program ran."""
+    try:
+        parameter.set(value)
+    except KrlError as error:
+        if error.number != RunMessage.ASSIGNMENT:
+            raise
+        raise KrlError(RunMessage.ARGUMENT_TYPE, f"{routine}({parameter.name}): {error.detail}") from None
 
 
 class CallCompiler(StatementEmitter):
@@ -42,6 +58,7 @@ class CallCompiler(StatementEmitter):
                 RunMessage.ARGUMENTS,
                 f"{node.name}() takes {builtin.least} to {builtin.most} arguments, {len(node.arguments)} given",
             )
+        _refuse(node, builtin_misfits(node, self.names))
         binders: list[Callable[[Activation], Value] | None] = []
         for position, argument in enumerate(node.arguments):
             if argument is None:
@@ -103,6 +120,7 @@ class CallCompiler(StatementEmitter):
                 RunMessage.ARGUMENTS,
                 f"{node.name}() takes {len(routine.parameters)} arguments, {len(node.arguments)} given",
             )
+        _refuse(node, misfits(node, routine, module, self.names))
         binders: list[tuple[bool, Callable[[Activation], Value]] | None] = []
         for position, parameter in enumerate(routine.parameters):
             argument = node.arguments[position] if position < len(node.arguments) else None
@@ -128,7 +146,7 @@ class CallCompiler(StatementEmitter):
                     if type_ is None:
                         cell.value = copy_value(value)
                     else:
-                        cell.set(value)
+                        _hand_over(cell, value, node.name)
                 arguments.append(cell)
             interpreter.enter(code, arguments, None if result is None else a.cells[result])
 

@@ -7,6 +7,7 @@ from slabcell_drivers.krc.code import Activation, Code, Function
 from slabcell_drivers.krc.messages import KrlError, RunMessage
 from slabcell_drivers.krc.names import ModuleNames, ProjectNames
 from slabcell_drivers.krc.operators import BINARY, UNARY, binary_type, geometric
+from slabcell_drivers.krc.static_types import Names, type_of
 from slabcell_drivers.krc.syntax import (
     Aggregate,
     Binary,
@@ -249,20 +250,13 @@ class ExpressionCompiler:
 
         return load, self._static_type(node.base)
 
+    @property
+    def names(self) -> Names:
+        """What the names of the routine mean, for types that are known before it runs."""
+        return Names(self.project, self.module, self.local_types)
+
     def _static_type(self, node: Expr) -> KrlType | None:
-        match node:
-            case Name(name=name):
-                if name in self.locals:
-                    return self.local_types.get(name)
-                return getattr(self.project.find(name, self.module), "type", None)
-            case Member(base=base, name=name):
-                type_ = self._static_type(base)
-                return type_.members.get(name) if isinstance(type_, StructType) else None
-            case Index(base=base):
-                type_ = self._static_type(base)
-                return type_.element if isinstance(type_, ArrayType) else None
-            case _:
-                return None
+        return type_of(node, self.names)
 
     def _aggregate(self, node: Aggregate) -> Typed:
         parts: list[tuple[str, Function]] = []

@@ -6,7 +6,7 @@ their texts with them.  What that list lacks has a number of ours, above the con
 
 from enum import IntEnum
 
-__all__ = ["KrlError", "MotionMessage", "RunMessage"]
+__all__ = ["COMPILER_NUMBERS", "KrlError", "MotionMessage", "RunMessage"]
 
 
 class RunMessage(IntEnum):
@@ -78,6 +78,22 @@ _CONTROLLER_TEXTS: dict[int, str] = {
     RunMessage.SPLINE_STATEMENT: "Statement not allowed in spline block",
     MotionMessage.CIRCLE: "Circular parameter inadmissible",
 }
+
+
+COMPILER_NUMBERS: dict[str, int] = {
+    "declaration-order": 2038,
+    "outside": 2039,
+    "first-def": 2051,
+    "member": 2125,
+    "switch": 2255,
+    "operand": 2256,
+    "argument-type": 2275,
+    "spline": 2359,
+    "spline-approximation": 2360,
+    "spline-trigger": 2363,
+    "ptp-spline": 2380,
+}
+"""The numbers under which the controller's compiler reports what the static check finds, by the code of the check."""
 
 
 class KrlError(Exception):

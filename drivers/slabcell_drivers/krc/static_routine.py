@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 
+from slabcell_drivers.krc.argument_types import builtin_misfits, misfits
 from slabcell_drivers.krc.compile_expressions import describe
 from slabcell_drivers.krc.messages import KrlError
 from slabcell_drivers.krc.scope import ModuleScope, Project
+from slabcell_drivers.krc.static_splines import spline_problems
 from slabcell_drivers.krc.static_types import Names, fits, is_text, type_of
 from slabcell_drivers.krc.syntax import (
     Assign,
@@ -42,7 +44,7 @@ from slabcell_drivers.krc.syntax import (
     Wait,
     While,
 )
-from slabcell_drivers.krc.values import BOOL, ArrayType, KrlType
+from slabcell_drivers.krc.values import BOOL, CHAR, INT, REAL, ArrayType, EnumType, KrlType, StructType
 from slabcell_drivers.krc.walk import walk
 
 __all__ = ["RoutineChecker"]
@@ -209,6 +211,19 @@ class RoutineChecker:
                     self._warn(node.place, "priority", message)
             case Binary():
                 self._check_ranks(node)
+                self._check_operands(node)
+            case Member(base=base, name=name):
+                type_ = type_of(base, self._names)
+                if isinstance(type_, StructType) and name not in type_.members:
+                    self._error(node.place, "member", f"{type_.name} has no member {name}")
+            case Switch(subject=subject):
+                type_ = type_of(subject, self._names)
+                if type_ is not None and type_ not in (INT, CHAR) and not isinstance(type_, EnumType):
+                    message = f"SWITCH takes INT, CHAR or an enumeration; {describe(subject)} is {type_.name}"
+                    self._error(subject.place, "switch", message)
+            case Spline():
+                for found, code, message in spline_problems(node):
+                    self._error(found.place, code, message)
             case _:
                 pass
 
@@ -234,8 +249,12 @@ class RoutineChecker:
             elif not builtin.least <= count <= builtin.most:
                 expected = str(builtin.least) if builtin.least == builtin.most else f"{builtin.least} to {builtin.most}"
                 self._error(call.place, "arguments", f"{call.name}() takes {expected} arguments, {count} are given")
+            for misfit in builtin_misfits(call, self._names):
+                self._error(misfit.argument.place, "argument-type", f"{call.name}(): {misfit}")
             return
-        routine, _ = found
+        routine, module = found
+        for misfit in misfits(call, routine, module, self._names):
+            self._error(misfit.argument.place, "argument-type", f"{call.name}(): {misfit}")
         message = f"{call.name}() takes {len(routine.parameters)} arguments, {count} are given"
         if count > len(routine.parameters):
             self._error(call.place, "arguments", message)
@@ -285,6 +304,15 @@ class RoutineChecker:
             if isinstance(node, Call):
                 message = f"the condition of an interrupt calls {node.name}(): not confirmed on a controller"
                 self._warn(node.place, "condition-call", message)
+
+    def _check_operands(self, node: Binary) -> None:
+        if node.operator not in {"+", "-", "*", "/"}:
+            return
+        for side in (node.left, node.right):
+            type_ = type_of(side, self._names)
+            if type_ is not None and type_ not in (INT, REAL, CHAR):
+                shown = type_.name or "an enumeration value"
+                self._error(side.place, "operand", f"{node.operator} takes numbers; {describe(side)} is {shown}")
 
     def _check_ranks(self, node: Binary) -> None:
         """Warn of ``a==5 AND b==6``: comparisons bind weakest in KRL, so that it means ``a==(5 AND b)==6``."""

@@ -26,7 +26,7 @@ _RELATIONS = frozenset({"==", "<>", "<", ">", "<=", ">="})
 class Names:
     """What the names of a routine mean."""
 
-    def __init__(self, project: ProjectNames, module: ModuleNames, local: Mapping[str, KrlType | None]) -> None:
+    def __init__(self, project: ProjectNames, module: ModuleNames | None, local: Mapping[str, KrlType | None]) -> None:
         self.project = project
         self.module = module
         self.local = local

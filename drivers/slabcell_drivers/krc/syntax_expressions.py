@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from slabcell_drivers.krc.messages import COMPILER_NUMBERS
+
 __all__ = [
     "Aggregate",
     "Binary",
@@ -40,9 +42,16 @@ class Diagnostic:
     code: str
     message: str
 
+    @property
+    def controller_number(self) -> int | None:
+        """The number that the controller's compiler has for this, None where it is not known."""
+        return COMPILER_NUMBERS.get(self.code)
+
     def __str__(self) -> str:
         """Return the line that compilers print."""
-        return f"{self.file}:{self.line}:{self.column}: {self.severity}: {self.message} [{self.code}]"
+        number = self.controller_number
+        code = self.code if number is None else f"{self.code}, {number}"
+        return f"{self.file}:{self.line}:{self.column}: {self.severity}: {self.message} [{code}]"
 
 
 @dataclass(frozen=True, slots=True)

@@ -107,10 +107,16 @@ def test_comparisons_bind_weakest_and_are_read_as_meant_where_that_cannot_be():
         ("EXIT", 91020, "EXIT stands in no loop"),
         ("deep()", 1424, "calls within each other"),
         ("fixed=2", 1388, "constant"),
+        ("whole(TRUE)", 2275, "argument 1 (X) takes INT, not BOOL"),
+        ("whole($ERR)", 2275, "argument 1 (X) takes INT, not ERROR_T"),
+        ("whole($UNHEARD[1])", 2275, "WHOLE(X): TRUE does not fit into INT"),
+        ("fill(n)", 2275, "argument 1 (X) writes REAL, not INT"),
+        ("n=STRLEN(n)", 2275, "argument 1 takes CHAR[], not INT"),
     ],
 )
 def test_an_error_stops_the_program_with_number_text_and_line(body, number, text):
-    more = "DEF deep()\ndeep()\nEND"
+    more = "DEF deep()\ndeep()\nEND\nDEF whole(x:IN)\nINT x\nEND\nDEF fill(x:OUT)\nREAL x\nEND"
+    body = f"$UNHEARD[1]=TRUE\n{body}"
     declarations = "INT n\nREAL r,u\nFRAME f\nINT a[3]\nCHAR t[5]"
     result, krc = run(body, declarations, more=more, data="DECL CONST INT fixed=1")
     assert (result.status, result.message_number) == ("error", number)

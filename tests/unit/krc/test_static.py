@@ -26,6 +26,26 @@ def program(body, declarations="INT i\nBOOL b\nREAL r\nCHAR t[5]\nFRAME f"):
     return f"DEF t()\n{declarations}\n{body}\nEND\n"
 
 
+TYPED = "INT i,k[2]\nBOOL b\nREAL r,x[3]\nCHAR t[5]\nFRAME f\nE6AXIS ax\nEKI_STATUS ret"
+TAKERS = """DEF in_int(p:IN)
+INT p
+END
+DEF out_real(p:OUT)
+REAL p
+END
+DEF in_text(p[]:IN)
+CHAR p[]
+END
+DEF in_reals(p[]:OUT)
+REAL p[]
+END
+DEF in_enum(p:IN)
+MODE_OP p
+END
+DEF in_pose(p:IN)
+E6POS p
+END
+"""
 FIRST = 7  # the line of the first statement of `program`
 
 
@@ -62,12 +82,84 @@ def test_a_correct_program_has_no_findings():
         ("WAIT FOR $IN[1]==TRUE AND $IN[2]==FALSE", "warning", "parentheses"),
         ("INTERRUPT DECL 50 WHEN b DO t()", "warning", "priority"),
         ("t(5)", "error", "arguments"),
+        ("f.Q=1", "error", "member"),
+        ("SWITCH r\nCASE 1\nENDSWITCH", "error", "switch"),
+        ("SWITCH b\nCASE 1\nENDSWITCH", "error", "switch"),
+        ("r=b+1", "error", "operand"),
+        ("r=f*2", "error", "operand"),
+        ("INTERRUPT DECL 5 WHEN STRLEN(t[])>3 DO t()", "warning", "condition-call"),
+        ("SPLINE\nPTP f\nENDSPLINE", "error", "spline"),
+        ("SPLINE\ni=1\nENDSPLINE", "error", "spline"),
+        ("SPLINE\nSLIN f C_DIS\nENDSPLINE", "error", "spline-approximation"),
+        ("SPLINE\nTRIGGER WHEN DISTANCE=0 DELAY=0 DO b=TRUE\nSPL f\nENDSPLINE", "error", "spline-trigger"),
+        ("PTP_SPLINE\nSLIN f\nENDSPLINE", "error", "ptp-spline"),
+        ("PTP_SPLINE\nCONST_VEL START=0\nSPTP f\nENDSPLINE", "error", "ptp-spline"),
+        ("SPLINE\nTIME_BLOCK PART=50\nSPL f\nENDSPLINE", "error", "time-block"),
     ],
 )
 def test_a_rule_of_the_language_is_checked(body, severity, code):
     reports = found(program(body))
     assert (severity, code) in {(s, c) for _, s, c in reports}
     assert all(line >= FIRST for line, _, _ in reports)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        "in_int(b)",
+        'in_int("text")',
+        "in_int(f)",
+        "out_real(i)",
+        "out_real(x[])",
+        "in_text(i)",
+        "in_reals(x[1])",
+        "in_reals(k[])",
+        "in_enum(i)",
+        "in_pose(ax)",
+        'ret=EKI_GetInt("Ch","A/@B",r)',
+        'ret=EKI_GetReal("Ch","A/@B",i)',
+        'ret=EKI_GetFrame("Ch","A/B",r)',
+        'ret=EKI_GetString("Ch","A/B",i)',
+        'ret=EKI_Send("Ch",5)',
+        "i=STRLEN(i)",
+        "ax=INVERSE(f,f,i)",
+        "ax=INVERSE(f,ax,r)",
+        "EKI_CHECK(i,#QUIT)",
+        "BAS(1,2)",
+    ],
+)
+def test_an_argument_of_another_type_than_the_parameter_is_an_error(call):
+    text = program(call, TYPED) + TAKERS
+    assert found(text) == [(FIRST + 2, "error", "argument-type")]
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        "in_int(r)",
+        "in_int(5.5)",
+        'in_int("A")',
+        "out_real(x[1])",
+        "out_real(f.X)",
+        'in_text("a text")',
+        'in_text("A")',
+        "in_text(t[])",
+        "in_reals(x[])",
+        "in_enum(#T1)",
+        "in_enum($MODE_OP)",
+        "in_pose(f)",
+        "in_pose({X 1,Y 2})",
+        "in_pose($POS_ACT)",
+        "in_int()",
+        'ret=EKI_GetReal("Ch","A/@B",f.X)',
+        'ret=EKI_SetInt("Ch","A/@B",r)',
+        "ax=INVERSE(f,$AXIS_ACT,i)",
+        "EKI_CHECK(ret,#QUIT,t[])",
+        "BAS(#VEL_CP,i)",
+    ],
+)
+def test_an_argument_that_the_parameter_can_take_is_none(call):
+    assert [f for f in found(program(call, TYPED) + TAKERS) if f[1] == "error"] == []
 
 
 def test_names_have_24_characters_at_most_and_no_digit_first():
