@@ -10,6 +10,7 @@
     ├── CalibrationError          exit 78  a calibration is missing, damaged or of another camera
     ├── ImageError                exit 1   a picture cannot be read or used
     ├── UnavailableError          exit 69  a device or the daemon does not answer
+    ├── NotPermittedError         exit 77  the user has no right to do this
     └── TemporaryError            exit 75  the same call may succeed later
 
 Every message names the thing, the value, the limit and what to do next.
@@ -21,6 +22,7 @@ __all__ = [
     "CalibrationError",
     "ConfigurationError",
     "ImageError",
+    "NotPermittedError",
     "RecipeError",
     "SlabcellError",
     "TemplateError",
@@ -78,6 +80,12 @@ class UnavailableError(SlabcellError):
     """A device or the daemon does not answer."""
 
     exit_code = 69
+
+
+class NotPermittedError(SlabcellError):
+    """The user has no right to do this."""
+
+    exit_code = 77
 
 
 class TemporaryError(SlabcellError):

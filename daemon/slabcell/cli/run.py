@@ -1,6 +1,7 @@
 """`slabcell run`: the cell as a daemon."""
 
 import asyncio
+import faulthandler
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -22,6 +23,7 @@ def run_command(
 
     Says where the robot may connect once it is ready.  Logs go to standard error, for the journal.
     """
+    faulthandler.enable()  # a watchdog that is not fed ends us with SIGABRT: the journal then says where threads stood
     log_to_stream(sys.stderr)
     asyncio.run(
         run_daemon(config, ready=lambda address: typer.echo(f"ready for the robot at {address[0]}:{address[1]}"))
