@@ -4,6 +4,7 @@ python docs/generate.py [--check]
 """
 
 import argparse
+import json
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -12,21 +13,26 @@ from slabcell.catalogue import Clears, Entry, catalogue
 from slabcell.cell.reconcile import Decision, reconcile
 from slabcell.cell.records import STEPS, OfferState
 from slabcell.cell.states import TABLE, CellState, HeldCause, SuspendedCause
+from slabcell.service.api.app import ENDPOINTS, description
+from slabcell.service.event_feed import KINDS
 from slabcell_drivers.robot.protocol import AckState
 
 DOCS = Path(__file__).parent
-BEGIN, END = "<!-- generated: states, by docs/generate.py -->", "<!-- end of the generated part -->"
+END = "<!-- end of the generated part -->"
 NOTE = "<!-- Drawn from the code by docs/generate.py: change the code, then run it. -->\n\n"
 
 
 def pages() -> dict[Path, str]:
     """Return every generated page by its path."""
     architecture = DOCS / "explanation" / "architecture.md"
+    control_api = DOCS / "reference" / "control-api.md"
     return {
         DOCS / "reference" / "states.md": states_page(),
         DOCS / "reference" / "errors.md": errors_page(catalogue().values()),
         DOCS / "reference" / "exactly-once.md": exactly_once_page(),
-        architecture: _between_marks(architecture.read_text(encoding="utf-8"), state_diagram()),
+        architecture: _between_marks(architecture.read_text(encoding="utf-8"), "states", state_diagram()),
+        control_api: _between_marks(control_api.read_text(encoding="utf-8"), "resources", resources_table()),
+        DOCS / "reference" / "control-api.json": json.dumps(description(), indent=1, ensure_ascii=False) + "\n",
     }
 
 
@@ -146,6 +152,18 @@ def exactly_once_page() -> str:
     return "\n".join([*lines, ""])
 
 
+def resources_table() -> str:
+    """Return the resources of the control API and the kinds of its events, as tables."""
+    rows = [f"| `{item.method} {item.path}` | {item.summary} | {_answer(item.answer)} |" for item in ENDPOINTS]
+    kinds = [f"| `{kind}` | {words} |" for kind, words in KINDS.items()]
+    resources = ["| request | what it is | answer |", "| --- | --- | --- |", *rows, ""]
+    return "\n".join([*resources, "| event | when |", "| --- | --- |", *kinds, ""])
+
+
+def _answer(answer: type | str) -> str:
+    return f"`{answer}`" if isinstance(answer, str) else f"`{answer.__name__}`"
+
+
 def _code(words: Iterable[str]) -> str:
     return ", ".join(f"`{word}`" for word in words)
 
@@ -158,10 +176,11 @@ def _then(decision: Decision) -> str:
     return decision.reason
 
 
-def _between_marks(text: str, content: str) -> str:
-    head, _, rest = text.partition(BEGIN)
+def _between_marks(text: str, name: str, content: str) -> str:
+    begin = f"<!-- generated: {name}, by docs/generate.py -->"
+    head, _, rest = text.partition(begin)
     _, _, tail = rest.partition(END)
-    return f"{head}{BEGIN}\n\n{content}\n{END}{tail}"
+    return f"{head}{begin}\n\n{content}\n{END}{tail}"
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -1,8 +1,8 @@
 """Which alarms stand?  Logged once when one comes and once when it goes; acknowledged, shelved and counted.
 
-An alarm that goes by itself stands as long as its cause.  One that a person has to acknowledge is latched: it stands
-on when its cause is gone.  A shelved alarm still stands, and still blocks what it blocks, but it is not shown until its
-time is over.  What needs no response is no alarm, but a line in the log.
+An alarm that goes by itself stands as long as its cause, acknowledged or not.  One that a person has to acknowledge is
+latched: it stands on when its cause is gone.  A shelved alarm still stands, and still blocks what it blocks, but it is
+not shown until its time is over.  What needs no response is no alarm, but a line in the log.
 
 Source of the words: ISA-18.2, "Management of alarm systems for the process industries".
 """
@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import structlog
 
 from slabcell.catalogue import Clears, Fault, Priority, entry
-from slabcell.cell.events import AlarmCame, AlarmWent, Event
+from slabcell.cell.events import AlarmCame, AlarmChanged, AlarmWent, Event
 from slabcell.errors import UsageError
 
 __all__ = ["MAX_SHELVED_S", "Alarm", "Alarms"]
@@ -31,6 +31,7 @@ class Alarm:
     """One alarm that stands, and what was said when it came.
 
     ``came_s`` is of the monotonic clock.  ``cause_gone`` is set for a latched alarm that waits for a person only.
+    ``acknowledged_by`` is who has seen an alarm that goes on as long as its cause.
     """
 
     fault: Fault
@@ -38,6 +39,7 @@ class Alarm:
     came_s: float = 0.0
     cause_gone: bool = False
     shelved_until_s: float | None = None
+    acknowledged_by: str = ""
 
     @property
     def priority(self) -> Priority:
@@ -96,12 +98,26 @@ class Alarms:
             else:
                 self._standing[fault] = replace(standing, cause_gone=True)
 
-    def acknowledge(self, fault: Fault) -> bool:
-        """Clear an alarm by a person's hand; return whether it stood."""
-        stood = fault in self._standing
-        if stood:
-            self._clear(fault, "acknowledged")
-        return stood
+    def acknowledge(self, fault: Fault, by: str = "a person") -> bool:
+        """Note that a person has seen an alarm; return whether it stood.
+
+        A latched one goes.  Any other stands on until its cause is gone, or until a restart.
+        """
+        standing = self._standing.get(fault)
+        if standing is None:
+            return False
+        if entry(fault).clears is Clears.ACKNOWLEDGE:
+            self._clear(fault, f"acknowledged by {by}")
+        elif not standing.acknowledged_by:
+            self._standing[fault] = replace(standing, acknowledged_by=by)
+            self._log.info("alarm acknowledged", number=int(fault), by=by)
+            self._emit(AlarmChanged(fault))
+        return True
+
+    def settle(self, fault: Fault, why: str) -> None:
+        """Take an alarm back whatever it needs, because the cell itself has seen to its cause."""
+        if fault in self._standing:
+            self._clear(fault, why)
 
     def shelve(self, fault: Fault, duration_s: float) -> None:
         """Do not show an alarm that stands for a while.  Raises UsageError for a time that is too long."""
@@ -109,13 +125,24 @@ class Alarms:
             limit = f"more than 0 and at most {MAX_SHELVED_S:g} s"
             msg = f"alarm {int(fault)} cannot be shelved for {duration_s:g} s; {limit} are possible"
             raise UsageError(msg)
+        standing = self._find(fault)
+        self._standing[fault] = replace(standing, shelved_until_s=self._clock() + duration_s)
+        self._log.info("alarm shelved", number=int(fault), duration_s=duration_s)
+        self._emit(AlarmChanged(fault))
+
+    def unshelve(self, fault: Fault) -> None:
+        """Show a shelved alarm again before its time is over.  Raises UsageError if it does not stand."""
+        self._standing[fault] = replace(self._find(fault), shelved_until_s=None)
+        self._log.info("alarm unshelved", number=int(fault))
+        self._emit(AlarmChanged(fault))
+
+    def _find(self, fault: Fault) -> Alarm:
         if fault not in self._standing:
             msg = f"alarm {int(fault)} does not stand"
             raise UsageError(msg)
-        self._standing[fault] = replace(self._standing[fault], shelved_until_s=self._clock() + duration_s)
-        self._log.info("alarm shelved", number=int(fault), duration_s=duration_s)
+        return self._standing[fault]
 
     def _clear(self, fault: Fault, why: str) -> None:
         del self._standing[fault]
         self._log.info("alarm went", number=int(fault), title=entry(fault).title, why=why)
-        self._emit(AlarmWent(fault))
+        self._emit(AlarmWent(fault, why))

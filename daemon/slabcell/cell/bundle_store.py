@@ -44,13 +44,17 @@ class Retention:
 
 
 class BundleWriter:
-    """Keeps bundles in a directory, which it creates.  ``failed`` is told why one could not be kept."""
+    """Keeps bundles in a directory, which it creates.
+
+    ``failed`` is told why one could not be kept, ``kept`` which cycle is in which file; both in the event loop.
+    """
 
     def __init__(
         self, directory: Path, *, retention: Retention | None = None, failed: Callable[[str], None] | None = None
     ) -> None:
         self.directory = directory
         self.failed = failed
+        self.kept: Callable[[CycleRecord, str], None] | None = None
         self.dropped = 0
         self._retention = retention or Retention()
         self._waiting = 0
@@ -89,12 +93,15 @@ class BundleWriter:
 
         self._waiting += 1
         future = asyncio.get_running_loop().run_in_executor(self._writer, write)
-        future.add_done_callback(self._written)
+        future.add_done_callback(lambda done: self._written(done, cycle, path.name))
 
-    def _written(self, future: asyncio.Future[None]) -> None:
+    def _written(self, future: asyncio.Future[None], cycle: CycleRecord, name: str) -> None:
         self._waiting -= 1
         error = future.exception()
-        if error is not None:
+        if error is None:
+            if self.kept is not None:
+                self.kept(cycle, name)
+        else:
             self.dropped += 1
             self._report(f"{self.directory}: {type(error).__name__}: {error}")
 

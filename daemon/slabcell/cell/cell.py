@@ -11,6 +11,7 @@ import asyncio
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 
 import structlog
 
@@ -39,12 +40,15 @@ from slabcell.errors import SlabcellError
 from slabcell.recipe import Recipe
 from slabcell_drivers.camera.protocol import Camera
 from slabcell_drivers.robot.arm import ArmModel
-from slabcell_drivers.robot.protocol import Answer, Request, RequestType, ResultCode
+from slabcell_drivers.robot.protocol import AckState, Answer, Request, RequestType, ResultCode
 
 __all__ = ["Cell"]
 
 NEEDS_EYES = frozenset({Fault.PART_LOST, Fault.PLACEMENT_UNKNOWN})
 """Alarms of results that are unknown: nothing is picked until a person has looked."""
+
+_UNDER_WAY = frozenset({AckState.NONE, AckState.ACCEPTED, AckState.GRASPED})
+"""What the robot says of a slab that it is not done with."""
 
 
 class Cell:
@@ -97,6 +101,7 @@ class Cell:
         self._handover = Handover(self._desk, alarms=self.alarms, emit=self._emit)
         self._conversation = Conversation()
         self._turn = asyncio.Lock()
+        self._stepping = False
         self._tasks: set[asyncio.Task[Answer]] = set()
         self._subscribers: list[Subscriber] = []
         self._log = structlog.stdlib.get_logger("slabcell.cell")
@@ -117,6 +122,11 @@ class Cell:
         return self._conditions.suspended
 
     @property
+    def stepping(self) -> bool:
+        """Whether the cell halts after the next slab."""
+        return self._stepping
+
+    @property
     def job(self) -> Job | None:
         """The job that is open, or was just finished."""
         return self._desk.job
@@ -125,6 +135,21 @@ class Cell:
     def cycles(self) -> deque[CycleRecord]:
         """Records of the last cycles, the present one included."""
         return self._cycles.records
+
+    @property
+    def present_cycle(self) -> CycleRecord | None:
+        """The cycle that is on its way, if one is."""
+        return self._cycles.present
+
+    @property
+    def calibration(self) -> Calibration:
+        """What pixels become millimetres with."""
+        return self._calibration
+
+    @property
+    def forgiven_up_to(self) -> int:
+        """Failures of results up to this one do not count any more: a person had their slots tried again."""
+        return self._desk.forgiven_up_to
 
     def subscribe(self, subscriber: Subscriber) -> Callable[[], None]:
         """Have ``subscriber`` called with every event, until it raises; return the function that ends it."""
@@ -178,12 +203,12 @@ class Cell:
             faults.append(Fault(offer.fault) if offer.fault else Fault.PLACEMENT_UNKNOWN)
             self.alarms.come(faults[-1], f"result {offer.result_id}, slot {offer.slot}: {offer.reason}")
         for fault in NEEDS_EYES - set(faults):
-            self.alarms.acknowledge(fault)
+            self.alarms.settle(fault, "every result is resolved")
         return faults[-1] if faults else None
 
     # A person
 
-    async def acknowledge(self, fault: Fault) -> None:
+    async def acknowledge(self, fault: Fault, by: str = "a person") -> None:
         """Take a person's word that an alarm is dealt with.
 
         A lost slab is then found and back on the table, and its slot is empty; a slot that failed too often is tried
@@ -200,7 +225,7 @@ class Cell:
                         await self._desk.resolve(offer.result_id, placed=False)
             if fault is Fault.TRIED_TOO_OFTEN:
                 self._desk.forgive()
-            self.alarms.acknowledge(fault)
+            self.alarms.acknowledge(fault, by)
 
     async def resolve(self, result_id: int, *, placed: bool) -> None:
         """Take a person's word for a result that is unknown.  Raises LedgerError if it is settled already."""
@@ -225,25 +250,46 @@ class Cell:
     async def halt(self, cause: str) -> None:
         """Offer nothing any more, until `resume`.  What the robot holds it may still lay down."""
         async with self._turn:
-            await self._desk.void(cause)
-            self._cycles.end()
-            await self._machine.fire(CellEvent.HALT, cause)
+            await self._halt(cause)
             self._cycles.settle()
 
-    async def resume(self) -> None:
-        """Leave the halted state.  Nothing moves: the robot has to trigger."""
+    async def _halt(self, cause: str) -> None:
+        await self._desk.void(cause)
+        self._cycles.end()
+        await self._machine.fire(CellEvent.HALT, cause)
+        self._stepping = False
+
+    async def resume(self, by: str = "a person", *, step: bool = False) -> None:
+        """Leave the halted state; with ``step`` for one slab only.  Nothing moves: the robot has to trigger."""
         async with self._turn:
-            await self._machine.fire(CellEvent.INITIALIZE, "resumed by a person")
+            await self._machine.fire(CellEvent.INITIALIZE, f"resumed by {by}")
+            self._stepping = step
             await self._machine.fire(CellEvent.PREPARE, f"recipe {self.recipe.name}")
 
-    async def clear(self) -> None:
+    async def clear(self, by: str = "a person") -> None:
         """Leave the error state after a person has removed its cause."""
         async with self._turn:
-            await self._machine.fire(CellEvent.CLEAR, "cleared by a person")
+            await self._machine.fire(CellEvent.CLEAR, f"cleared by {by}")
             for alarm in self.alarms.standing:
                 if entry(alarm.fault).category in {"ledger", "service"}:
-                    self.alarms.acknowledge(alarm.fault)
+                    self.alarms.settle(alarm.fault, f"cleared by {by}")
             await self._machine.fire(CellEvent.PREPARE, f"recipe {self.recipe.name}")
+
+    async def step(self) -> None:
+        """Halt after the slab that is under way or comes next.  Raises SlabcellError where nothing can be offered."""
+        async with self._turn:
+            if self.state is not CellState.READY and not self.state.is_executing:
+                msg = f"the cell is {self.state}: it can go one step when it is halted, ready or in a cycle"
+                raise SlabcellError(msg, number=Fault.NOT_READY)
+            self._stepping = True
+
+    def robot_link(self, *, connected: bool) -> None:
+        """Take notice of the robot's connection.  One that ends without a farewell is an alarm until it is back."""
+        if connected:
+            self.alarms.cease(Fault.ROBOT_ABSENT)
+        elif self._conditions.suspended is not SuspendedCause.ROBOT_ABSENT:
+            self._conditions.suspended = SuspendedCause.ROBOT_ABSENT
+            self.alarms.come(Fault.ROBOT_ABSENT, "the connection ended while the robot program was running")
 
     # Requests
 
@@ -361,6 +407,10 @@ class Cell:
 
     async def _acknowledge(self, request: Request) -> Reply:
         reply = await self._handover.acknowledge(request)
+        settled = reply.code == ResultCode.OK and request.ack_state not in _UNDER_WAY
+        if settled and self._stepping and self.state in {CellState.READY, CellState.OFFERING}:
+            await self._halt("one slab is done: step")
+            return replace(reply, left=0)
         if reply.left == 0 and self.state is CellState.OFFERING and not await self._desk.open_offers():
             self._cycles.end()
             await self._machine.fire(CellEvent.FINISH, "every result is settled")

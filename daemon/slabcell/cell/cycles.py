@@ -9,7 +9,7 @@ from dataclasses import asdict
 
 from slabcell.cell.bundle import BundleContext
 from slabcell.cell.bundle_store import BundleWriter
-from slabcell.cell.events import CycleEnded, CycleRecord, Event
+from slabcell.cell.events import CycleEnded, CycleKept, CycleRecord, Event
 from slabcell.cell.ledger import Ledger
 from slabcell.errors import SlabcellError
 from slabcell_drivers.robot.protocol import Answer, Request
@@ -44,6 +44,7 @@ class Cycles:
         self._keeping: set[asyncio.Task[None]] = set()
         if bundles is not None:
             bundles.failed = failed
+            bundles.kept = lambda cycle, file: emit(CycleKept(cycle, file))
 
     def begin(self, cycle: CycleRecord) -> None:
         """Make this the present cycle; one before it ends."""

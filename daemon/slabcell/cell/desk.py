@@ -55,7 +55,7 @@ class JobDesk:
         self.job: Job | None = None
         self.finished: Job | None = None
         self._forgive = False
-        self._forgiven_up_to = 0
+        self.forgiven_up_to = 0
         self._known: dict[int, OfferRecord] | None = None
         self._ledger = ledger
         self._recipe = recipe
@@ -153,8 +153,8 @@ class JobDesk:
         """Return which slots of the job are laid, free, or given up after so many failed attempts."""
         offers = await self.offers()
         if self._forgive:
-            self._forgiven_up_to, self._forgive = max((offer.result_id for offer in offers), default=0), False
-        failed = (offer for offer in offers if offer.state is _O.FAILED and offer.result_id > self._forgiven_up_to)
+            self.forgiven_up_to, self._forgive = max((offer.result_id for offer in offers), default=0), False
+        failed = (offer for offer in offers if offer.state is _O.FAILED and offer.result_id > self.forgiven_up_to)
         failures = Counter(offer.slot for offer in failed)
         taken = {offer.slot for offer in offers if offer.state in TAKEN_STATES}
         every = range(self.slot_count)

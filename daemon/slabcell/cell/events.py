@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 
 from slabcell.catalogue import Fault
 from slabcell.cell.planning import Refusal
@@ -14,8 +15,10 @@ from slabcell_drivers.camera.protocol import ImageFrame
 
 __all__ = [
     "AlarmCame",
+    "AlarmChanged",
     "AlarmWent",
     "CycleEnded",
+    "CycleKept",
     "CycleRecord",
     "Event",
     "FrameTaken",
@@ -33,7 +36,10 @@ __all__ = [
 
 @dataclass(slots=True, eq=False)
 class CycleRecord:
-    """One trigger and what came of it.  ``times_ms`` holds the stages in their order, and ``total``."""
+    """One trigger and what came of it.  ``times_ms`` holds the stages in their order, and ``total``.
+
+    ``number`` is given by who keeps a history, 0 where nobody does.
+    """
 
     cycle_id: int
     job_id: int
@@ -52,6 +58,9 @@ class CycleRecord:
     laid_slots: tuple[int, ...] = ()
     correction_mm: tuple[float, float] = (0.0, 0.0)
     transcript: list[dict[str, object]] = field(default_factory=list[dict[str, object]])
+    number: int = 0
+    frame_id: int | None = None
+    began_utc: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="milliseconds"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +139,14 @@ class CycleEnded:
 
 
 @dataclass(frozen=True, slots=True)
+class CycleKept:
+    """A cycle that ended is in its bundle; ``file`` is the bundle's name."""
+
+    cycle: CycleRecord
+    file: str
+
+
+@dataclass(frozen=True, slots=True)
 class AlarmCame:
     """An alarm came."""
 
@@ -139,7 +156,15 @@ class AlarmCame:
 
 @dataclass(frozen=True, slots=True)
 class AlarmWent:
-    """An alarm went."""
+    """An alarm went, and why."""
+
+    fault: Fault
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmChanged:
+    """A person acknowledged, shelved or unshelved an alarm, which stands on."""
 
     fault: Fault
 
@@ -155,7 +180,9 @@ Event = (
     | ResultMoved
     | Verified
     | CycleEnded
+    | CycleKept
     | AlarmCame
+    | AlarmChanged
     | AlarmWent
 )
 

@@ -101,7 +101,7 @@ class Looking:
             self._calibration.require_size(width, height, f"frame {frame.frame_id}")
         except CalibrationError as error:
             raise LookError(Fault.CALIBRATION_MISMATCH, str(error)) from error
-        cycle.frame = frame
+        cycle.frame, cycle.frame_id = frame, frame.frame_id
         self._emit(FrameTaken(frame))
         return frame
 

@@ -19,6 +19,11 @@ __all__ = ["main"]
 VERBS: Final[dict[str, tuple[str, str, str]]] = {
     "demo": ("slabcell.cli.demo", "demo_command", "Run the whole cell, simulated, and measure what it laid."),
     "run": ("slabcell.cli.run", "run_command", "Run the cell as a daemon."),
+    "status": ("slabcell.cli.status", "status_command", "Show how the running cell is."),
+    "job": ("slabcell.cli.job", "job_app", "Show jobs, and what became of their slabs."),
+    "alarms": ("slabcell.cli.alarms", "alarms_app", "Show alarms, and acknowledge or shelve them."),
+    "cell": ("slabcell.cli.cell", "cell_app", "Halt the running cell, have it go on, step, or clear an error."),
+    "events": ("slabcell.cli.events", "events_command", "Follow what happens in the running cell."),
     "locate": ("slabcell.cli.locate", "locate_command", "Find the slabs on image files, and the slot of each."),
     "calibrate": ("slabcell.cli.calibrate", "calibrate_app", "Make a calibration from images of a board."),
     "ledger": ("slabcell.cli.ledger", "ledger_app", "Show, export and settle the record of offers."),

@@ -16,7 +16,16 @@ from slabcell.toml_file import TomlTable, read_toml
 from slabcell_drivers.camera.settings import CameraSettings
 from slabcell_drivers.robot import Frame
 
-__all__ = ["CameraConfig", "CellConfig", "EkiConfig", "FrameConfig", "RobotConfig", "TableConfig", "load_config"]
+__all__ = [
+    "ApiConfig",
+    "CameraConfig",
+    "CellConfig",
+    "EkiConfig",
+    "FrameConfig",
+    "RobotConfig",
+    "TableConfig",
+    "load_config",
+]
 
 Millimetres = Annotated[float, Field(ge=-20_000, le=20_000)]
 Degrees = Annotated[float, Field(ge=-360, le=360)]
@@ -116,6 +125,21 @@ class TableConfig(TomlTable):
     pick_area: list[Point] = Field(min_length=3, max_length=100, description="polygon in table coordinates, mm")
 
 
+class ApiConfig(TomlTable):
+    """``[api]``: the control API, for `slabcell status` and its like, the HMI, and other programs."""
+
+    socket: Path | None = Field(
+        default=None,
+        description="Unix socket; the default is api.sock in systemd's RUNTIME_DIRECTORY, else in the state directory",
+    )
+    group: Annotated[str, Field(pattern=r"^[a-z_][a-z0-9_-]{0,31}$")] | None = Field(
+        default=None, description="group whose members may use the API; the default is the daemon's own"
+    )
+    event_clients: Annotated[int, Field(ge=1, le=32)] = Field(
+        default=16, description="so many clients may listen to events at once"
+    )
+
+
 class CellConfig(TomlTable):
     """The whole file."""
 
@@ -128,6 +152,7 @@ class CellConfig(TomlTable):
     camera: CameraConfig
     robot: RobotConfig
     table: TableConfig
+    api: ApiConfig = ApiConfig()
 
 
 def load_config(path: Path) -> CellConfig:

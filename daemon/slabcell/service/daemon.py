@@ -8,165 +8,185 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import secrets
 import signal
-from collections.abc import AsyncGenerator, Callable
+import time
+from collections.abc import AsyncGenerator, Callable, Coroutine, Generator
 from pathlib import Path
+from typing import Any
 
 import structlog
 
-from slabcell.calibration import Calibration, CameraIdentity, load_calibration
-from slabcell.catalogue import Fault
-from slabcell.cell.bundle_store import BundleWriter
-from slabcell.cell.cell import Cell
+from slabcell.calibration import load_calibration
 from slabcell.cell.ledger import Ledger
-from slabcell.cell.settings import CellSettings
-from slabcell.errors import CalibrationError, ConfigurationError, UnavailableError
-from slabcell.geometry import Polygon
+from slabcell.errors import ConfigurationError, UnavailableError
 from slabcell.recipe import load_recipe
+from slabcell.service.api.app import make_app
+from slabcell.service.api.context import ApiContext
+from slabcell.service.api.ring import EventRing
+from slabcell.service.api.server import listen, serve
+from slabcell.service.api.stream import StreamSeats
+from slabcell.service.builder import CellParts, cell_settings, open_cell
+from slabcell.service.camera_keeper import CameraKeeper
 from slabcell.service.config import CellConfig, load_config
-from slabcell.service.devices import InstanceLock, make_camera, state_directory
+from slabcell.service.devices import InstanceLock, api_socket, make_camera, state_directory
+from slabcell.service.disk_watch import DiskWatch
+from slabcell.service.event_feed import EventFeed
+from slabcell.service.history import History
+from slabcell.service.ledger_view import LedgerView
+from slabcell.service.links import Links
 from slabcell.service.notify import notify, watchdog_interval_s
-from slabcell_drivers.camera import Camera, CameraError
+from slabcell.service.robot_watch import RobotWatch
 from slabcell_drivers.robot.arm import arm_by_name
 from slabcell_drivers.robot.eki.client import EkiClient
 from slabcell_drivers.robot.eki.link import EkiServer
 
 __all__ = ["run_daemon"]
 
-CAMERA_OPEN_TIMEOUT_S = 10.0
-CAMERA_RETRY_S = (1.0, 2.0, 4.0, 8.0, 16.0, 30.0)
 STOP_TIMEOUT_S = 5.0
 ALIVE_TIMEOUT_S = 2.0
+SOCKET_MODE = 0o660
 
 _log = structlog.get_logger(__name__)
 
 
 async def run_daemon(path: Path, *, ready: Callable[[tuple[str, int]], None] | None = None) -> None:
-    """Run the cell of a configuration file until SIGTERM or SIGINT; ``ready`` is told where both meet.
+    """Run the cell of a configuration file until SIGTERM or SIGINT; ``ready`` is told where robot and cell meet.
 
     Raises ConfigurationError, CalibrationError, RecipeError, TemporaryError (a second instance) or UnavailableError
     (the address is taken) before anything runs.
     """
     config = load_config(path)
+    parts = _parts(config, path)
+    folder = state_directory(config.state_directory)
+    stopping = asyncio.Event()
+    with _signals(stopping), InstanceLock(folder):
+        async with _running(config, parts, folder) as (context, address, ledger):
+            recipe = context.cell.recipe.name
+            _log.info("ready", cell=config.name, recipe=recipe, robot=f"{address[0]}:{address[1]}")
+            if ready is not None:
+                ready(address)
+            notify(f"READY=1\nSTATUS=recipe {recipe}, waiting for the robot")
+            async with _beside(*_watchdog(ledger)):
+                await stopping.wait()
+            notify("STOPPING=1")
+            _log.info("stopping")
+
+
+def _parts(config: CellConfig, path: Path) -> CellParts:
     if config.calibration is None:
         msg = f"{path}: calibration is missing: make one with `slabcell calibrate camera` and `plane`, and name it here"
         raise ConfigurationError(msg)
-    stopping = asyncio.Event()
+    return CellParts(
+        load_calibration(config.calibration),
+        load_recipe(config.recipe),
+        arm_by_name(config.robot.model),
+        cell_settings(config),
+    )
+
+
+@contextlib.contextmanager
+def _signals(stopping: asyncio.Event) -> Generator[None]:
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stopping.set)
     try:
-        folder = state_directory(config.state_directory)
-        with InstanceLock(folder):
-            async with _cell(config, folder) as (cell, ledger), _link(config, cell) as address:
-                _log.info("ready", cell=config.name, recipe=cell.recipe.name, robot=f"{address[0]}:{address[1]}")
-                if ready is not None:
-                    ready(address)
-                notify(f"READY=1\nSTATUS=recipe {cell.recipe.name}, waiting for the robot")
-                async with _watched(ledger):
-                    await stopping.wait()
-                notify("STOPPING=1")
-                _log.info("stopping")
+        yield
     finally:
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.remove_signal_handler(number)
 
 
 @contextlib.asynccontextmanager
-async def _cell(config: CellConfig, folder: Path) -> AsyncGenerator[tuple[Cell, Ledger]]:
-    recipe = load_recipe(config.recipe)
-    calibration = load_calibration(config.calibration or Path())
-    settings = CellSettings(
-        pick_base=config.robot.pick_base.to_frame(),
-        place_base=config.robot.place_base.to_frame(),
-        tool=config.robot.tool.to_frame(),
-        pick_area=Polygon.from_points(config.table.pick_area),
-        camera_timeout_s=config.camera.timeout_s,
-    )
-    camera = make_camera(config.camera)
-    ledger = await Ledger.open(folder / "ledger.sqlite")
-    try:
-        cell = Cell(
-            camera,
-            calibration,
-            recipe,
-            arm=arm_by_name(config.robot.model),
-            settings=settings,
-            ledger=ledger,
-            bundles=BundleWriter(folder / "bundles"),
+async def _running(
+    config: CellConfig, parts: CellParts, folder: Path
+) -> AsyncGenerator[tuple[ApiContext, tuple[str, int], Ledger]]:
+    """Give the running cell, where the robot meets it, and its ledger; everything is closed in the end."""
+    async with contextlib.AsyncExitStack() as stack:
+        history = await History.open(folder / "history.sqlite")
+        stack.push_async_callback(history.close)
+        ring = EventRing(secrets.token_hex(4))
+        links = Links()
+        feed = EventFeed(ring, history, links)
+        links.changed = feed.link_changed
+        camera = make_camera(config.camera)
+        stack.push_async_callback(camera.close)
+        cell, ledger = await stack.enter_async_context(open_cell(parts, camera, folder))
+        stack.callback(cell.subscribe(feed.see))
+        view = LedgerView(folder / "ledger.sqlite")
+        stack.push_async_callback(view.close)
+        robot = RobotWatch(cell, links)
+        context = ApiContext(
+            name=config.name,
+            started_s=time.monotonic(),
+            cell=cell,
+            links=links,
+            robot=robot,
+            history=history,
+            ledger=view,
+            ring=ring,
+            seats=StreamSeats(config.api.event_clients),
         )
-        await cell.start()
-        opening = asyncio.create_task(_open(camera, calibration, cell), name="slabcell-camera-open")
-        try:
-            yield cell, ledger
-        finally:
-            opening.cancel()
-            await asyncio.gather(opening, return_exceptions=True)
-            await cell.stop()
-            await camera.close()
-    finally:
-        await ledger.close()
-
-
-async def _open(camera: Camera, calibration: Calibration, cell: Cell) -> None:
-    """Open the camera, however long it takes to come; once open, its driver brings it back by itself.
-
-    A camera that is not the calibrated one is closed again, and the cell halts: no pose may come from it.
-    """
-    attempt = 0
-    while True:
-        try:
-            info = await camera.open(CAMERA_OPEN_TIMEOUT_S)
-        except CameraError as error:
-            pause_s = CAMERA_RETRY_S[min(attempt, len(CAMERA_RETRY_S) - 1)]
-            _log.warning("camera not open", error=str(error), next_try_s=pause_s)
-            attempt += 1
-            await asyncio.sleep(pause_s)
-        else:
-            break
-    _log.info("camera open", model=info.model, serial=info.serial, width=info.width, height=info.height)
-    try:
-        calibration.require_camera(CameraIdentity(info.width, info.height, info.serial), f"camera {info.serial}")
-    except CalibrationError as error:
-        _log.exception("camera refused")
-        await camera.close()
-        cell.alarms.come(Fault.CALIBRATION_MISMATCH, str(error))
-        await cell.halt(str(error))
+        keeper = CameraKeeper(camera, cell, links, lambda: cell.calibration)
+        disk = DiskWatch(folder, cell.alarms, links)
+        await stack.enter_async_context(_beside(keeper.run(), disk.run()))
+        socket_path = api_socket(config.api.socket, folder)
+        server_socket = listen(socket_path, mode=SOCKET_MODE, group=config.api.group)
+        await stack.enter_async_context(serve(make_app(context), server_socket, socket_path))
+        stack.callback(ring.close)
+        address = await stack.enter_async_context(_link(config, robot))
+        yield context, address, ledger
 
 
 @contextlib.asynccontextmanager
-async def _link(config: CellConfig, cell: Cell) -> AsyncGenerator[tuple[str, int]]:
+async def _beside(*works: Coroutine[Any, Any, None]) -> AsyncGenerator[None]:
+    """Have something done beside the rest, until the end of the block.  What fails ends the daemon, named."""
+    tasks = [asyncio.create_task(work, name=f"slabcell-{work.__qualname__}") for work in works]
+    for task in tasks:
+        task.add_done_callback(_report)
+    try:
+        yield
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+def _report(task: asyncio.Task[None]) -> None:
+    if not task.cancelled() and (error := task.exception()) is not None:
+        _log.error("a part of the daemon ended", part=task.get_name(), exc_info=error)
+
+
+@contextlib.asynccontextmanager
+async def _link(config: CellConfig, robot: RobotWatch) -> AsyncGenerator[tuple[str, int]]:
     """Serve the robot; gives the address at which both meet."""
     krl, eki = config.robot.krl, config.robot.eki
-    link = EkiServer(eki.host, eki.port) if krl.robot_connects else EkiClient(krl.robot_ip, krl.robot_port)
+    link = (
+        EkiServer(eki.host, eki.port, on_state=robot.link_changed)
+        if krl.robot_connects
+        else EkiClient(krl.robot_ip, krl.robot_port, on_state=robot.link_changed)
+    )
     try:
-        await link.start(cell.handle)
+        await link.start(robot.handle)
     except OSError as error:
         msg = (
             f"[robot.eki] {eki.host}:{eki.port} cannot be listened on: {error.strerror};"
             " is the address this PC's own, and the port free?"
         )
         raise UnavailableError(msg) from error
+    address = link.address if isinstance(link, EkiServer) else (krl.robot_ip, krl.robot_port)
+    robot.meets_at(*address, link)
     try:
-        yield link.address if isinstance(link, EkiServer) else (krl.robot_ip, krl.robot_port)
+        yield address
     finally:
         async with asyncio.timeout(STOP_TIMEOUT_S):
             await link.stop()
 
 
-@contextlib.asynccontextmanager
-async def _watched(ledger: Ledger) -> AsyncGenerator[None]:
-    """Feed the supervisor's watchdog for as long as the loop turns and the ledger answers."""
+def _watchdog(ledger: Ledger) -> tuple[Coroutine[Any, Any, None], ...]:
+    """Return what feeds the supervisor's watchdog while the loop turns and the ledger answers, if it wants that."""
     interval_s = watchdog_interval_s()
-    if interval_s is None:
-        yield
-        return
-    feeding = asyncio.create_task(_feed(ledger, interval_s), name="slabcell-watchdog")
-    try:
-        yield
-    finally:
-        feeding.cancel()
-        await asyncio.gather(feeding, return_exceptions=True)
+    return () if interval_s is None else (_feed(ledger, interval_s),)
 
 
 async def _feed(ledger: Ledger, interval_s: float) -> None:

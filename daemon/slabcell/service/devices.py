@@ -15,7 +15,7 @@ from slabcell_drivers.camera.aravis_library import AravisMissingError
 from slabcell_drivers.camera.harvesters import HarvestersCamera
 from slabcell_drivers.camera.replay import ReplayMode
 
-__all__ = ["InstanceLock", "make_camera", "state_directory"]
+__all__ = ["InstanceLock", "api_socket", "make_camera", "state_directory"]
 
 
 def make_camera(config: CameraConfig) -> Camera:
@@ -48,6 +48,14 @@ def state_directory(configured: Path | None) -> Path:
         msg = f"state_directory {found}: cannot be made: {error.strerror}; choose another, or give the user the right"
         raise ConfigurationError(msg) from error
     return found
+
+
+def api_socket(configured: Path | None, folder: Path) -> Path:
+    """Return where the control API is served: as configured, in systemd's runtime directory, or beside the state."""
+    if configured is not None:
+        return configured
+    runtime = os.environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
+    return (Path(runtime) if runtime else folder) / "api.sock"
 
 
 class InstanceLock:

@@ -4,7 +4,7 @@ import pytest
 
 from slabcell.catalogue import Fault
 from slabcell.cell.alarms import MAX_SHELVED_S, Alarms
-from slabcell.cell.events import AlarmCame, AlarmWent
+from slabcell.cell.events import AlarmCame, AlarmChanged, AlarmWent
 from slabcell.errors import UsageError
 
 pytestmark = pytest.mark.unit
@@ -37,7 +37,7 @@ def test_an_alarm_is_told_once_when_it_comes_and_once_when_it_goes(alarms, told)
         alarms.come(Fault.CAMERA_LOST, "gone")
     for _ in range(3):
         alarms.cease(Fault.CAMERA_LOST)
-    assert told == [AlarmCame(Fault.CAMERA_LOST, "gone"), AlarmWent(Fault.CAMERA_LOST)]
+    assert told == [AlarmCame(Fault.CAMERA_LOST, "gone"), AlarmWent(Fault.CAMERA_LOST, "its cause is gone")]
     assert alarms.counts[Fault.CAMERA_LOST] == 1
 
 
@@ -51,6 +51,29 @@ def test_a_latched_alarm_waits_for_a_person_when_its_cause_is_gone(alarms):
     assert alarms.acknowledge(Fault.DISK_FULL)
     assert not alarms.acknowledge(Fault.DISK_FULL)
     assert alarms.standing == ()
+
+
+def test_an_acknowledged_alarm_stands_on_as_long_as_its_cause(alarms, told):
+    alarms.come(Fault.CAMERA_LOST, "gone")
+    assert alarms.acknowledge(Fault.CAMERA_LOST, "alice")
+    assert alarms.acknowledge(Fault.CAMERA_LOST, "bob")
+    assert alarms.standing[0].acknowledged_by == "alice"
+    assert told[1:] == [AlarmChanged(Fault.CAMERA_LOST)]
+    alarms.cease(Fault.CAMERA_LOST)
+    assert alarms.standing == ()
+
+
+def test_an_alarm_that_needs_a_restart_is_not_acknowledged_away(alarms):
+    alarms.come(Fault.CALIBRATION_MISMATCH, "another camera")
+    alarms.acknowledge(Fault.CALIBRATION_MISMATCH, "alice")
+    assert alarms.has(Fault.CALIBRATION_MISMATCH)
+
+
+def test_an_unshelved_alarm_is_seen_again(alarms):
+    alarms.come(Fault.CAMERA_LOST, "gone")
+    alarms.shelve(Fault.CAMERA_LOST, 60.0)
+    alarms.unshelve(Fault.CAMERA_LOST)
+    assert [alarm.fault for alarm in alarms.shown] == [Fault.CAMERA_LOST]
 
 
 def test_the_most_urgent_is_shown_first_and_the_newest_among_equals(alarms, clock):

@@ -1,0 +1,41 @@
+"""What do the verbs that talk to a running daemon share?  Their options, and how they print."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from slabcell.service.api.client import ApiClient
+
+__all__ = ["AsJson", "Socket", "client", "print_json", "seconds"]
+
+Socket = Annotated[
+    Path | None,
+    typer.Option(
+        "--socket",
+        metavar="FILE",
+        help="The daemon's socket; the default is $SLABCELL_SOCKET, or /run/slabcell/api.sock.",
+    ),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+
+
+def client(path: Path | None) -> ApiClient:
+    """Return a client for the socket that was named, or the usual one."""
+    return ApiClient(path)
+
+
+def print_json(document: Mapping[str, Any]) -> None:
+    """Print one object on one line."""
+    typer.echo(json.dumps(document))
+
+
+def seconds(duration_s: float) -> str:
+    """Return a duration as people say it."""
+    if duration_s < 60:
+        return f"{duration_s:.1f} s"
+    if duration_s < 3600:
+        return f"{duration_s / 60:.0f} min"
+    return f"{duration_s / 3600:.1f} h"

@@ -1,0 +1,31 @@
+"""What does an endpoint work with?  The parts of the running daemon that the API speaks to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from slabcell.cell.cell import Cell
+from slabcell.service.api.ring import EventRing
+from slabcell.service.api.stream import StreamSeats
+from slabcell.service.history import History
+from slabcell.service.ledger_view import LedgerView
+from slabcell.service.links import Links
+from slabcell.service.robot_watch import RobotWatch
+
+__all__ = ["ApiContext"]
+
+
+@dataclass(slots=True)
+class ApiContext:
+    """One running cell, as the API sees it.  ``started_s`` is of the monotonic clock."""
+
+    name: str
+    started_s: float
+    cell: Cell
+    links: Links
+    robot: RobotWatch
+    history: History
+    ledger: LedgerView
+    ring: EventRing
+    seats: StreamSeats
+    pending_reload: list[str] = field(default_factory=list[str])

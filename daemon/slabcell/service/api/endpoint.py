@@ -1,0 +1,181 @@
+"""What is an endpoint?  Its declaration, from which the route, the checks and the OpenAPI description are made."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from http import HTTPStatus
+from typing import Any, Final, Generic, Literal, TypeVar
+
+import structlog
+from pydantic import BaseModel, ConfigDict, ValidationError
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import Response
+from starlette.routing import Route
+
+from slabcell.errors import SlabcellError
+from slabcell.service.api.idempotency import KEY_HEADER, Once, check_key
+from slabcell.service.api.peer import Peer
+from slabcell.service.api.problems import ProblemError, problem_of, respond
+
+__all__ = ["Body", "Call", "Endpoint", "Query", "make_route"]
+
+BODY_BYTES: Final = 64 << 10
+BODY_TIMEOUT_S: Final = 10.0
+
+Context = TypeVar("Context")
+_log = structlog.get_logger(__name__)
+
+
+class Query(BaseModel):
+    """Parameters in the address, after the question mark."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Body(BaseModel):
+    """The JSON object that a request carries."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Call(Generic[Context]):
+    """One request, checked."""
+
+    context: Context
+    request: Request
+    peer: Peer
+    query: Any
+    body: Any
+    raw: bytes
+
+    def number(self, name: str) -> int:
+        """Return a whole number of the path.  Raises ProblemError 404: what has no such number is not there."""
+        text = str(self.request.path_params[name])
+        if not text.isascii() or not text.isdecimal() or len(text) > 18:
+            raise ProblemError(404, f"{name} {text!r:.40} is no number")
+        return int(text)
+
+    def text(self, name: str) -> str:
+        """Return a part of the path."""
+        return str(self.request.path_params[name])
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoint(Generic[Context]):
+    """One thing that can be asked for or done.
+
+    ``answer`` is the model of the JSON object that comes back, or the media type of what else does.  A ``raw`` body is
+    handed on as bytes; ``raw`` is its media type.  Everything but GET needs an idempotency key.
+    """
+
+    method: Literal["GET", "POST"]
+    path: str
+    summary: str
+    handler: Callable[[Call[Context]], Awaitable[BaseModel | Response]]
+    answer: type[BaseModel] | str
+    tag: str
+    query: type[Query] | None = None
+    body: type[Body] | None = None
+    raw: str | None = None
+    body_bytes: int = BODY_BYTES
+    problems: tuple[int, ...] = ()
+
+    @property
+    def writes(self) -> bool:
+        """Whether it changes something."""
+        return self.method != "GET"
+
+
+def make_route(endpoint: Endpoint[Context], context: Context, once: Once) -> Route:
+    """Return the route of an endpoint.  Whatever goes wrong in it is answered with a problem."""
+
+    async def serve(request: Request) -> Response:
+        try:
+            query = _query(endpoint, request)
+            raw = await _read_body(request, endpoint.body_bytes) if endpoint.writes else b""
+            call = Call(context, request, request.state.peer, query, _body(endpoint, request, raw), raw)
+            if not endpoint.writes:
+                return await _answer(endpoint, call)
+            key = check_key(request.headers.get(KEY_HEADER))
+            return await once.answer(key, request, raw, lambda: _answer(endpoint, call))
+        except ProblemError as error:
+            return respond(error)
+        except ClientDisconnect:
+            return Response(status_code=HTTPStatus.BAD_REQUEST)  # nobody reads it
+
+    return Route(endpoint.path, serve, methods=[endpoint.method])
+
+
+async def _answer(endpoint: Endpoint[Context], call: Call[Context]) -> Response:
+    try:
+        content = await endpoint.handler(call)
+    except ProblemError as error:
+        return respond(error)
+    except SlabcellError as error:
+        return respond(problem_of(error))
+    except Exception as error:  # noqa: BLE001 - a client must not see a traceback, and the daemon goes on
+        _log.exception("api request failed", path=endpoint.path)
+        return respond(ProblemError(500, f"{type(error).__name__}: {error}"))
+    if isinstance(content, Response):
+        return content
+    return Response(content.model_dump_json(by_alias=True), media_type="application/json")
+
+
+def _query(endpoint: Endpoint[Context], request: Request) -> Query | None:
+    names = [name for name, _ in request.query_params.multi_items()]
+    if endpoint.query is None:
+        if names:
+            raise ProblemError(422, f"parameter {names[0]!r:.60} is not known here: there are none")
+        return None
+    if len(set(names)) < len(names):
+        raise ProblemError(422, "a parameter is given twice")
+    return _validated(endpoint.query, dict(request.query_params))
+
+
+def _body(endpoint: Endpoint[Context], request: Request, raw: bytes) -> Body | None:
+    if endpoint.raw is not None or endpoint.body is None:
+        if raw and endpoint.raw is None:
+            raise ProblemError(422, "this request takes no body")
+        return None
+    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    if raw and kind != "application/json":
+        raise ProblemError(415, f"the body is {kind or 'of no type'!r:.60}; send application/json")
+    try:
+        content: object = json.loads(raw or b"{}")
+    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        raise ProblemError(400, f"the body is no JSON: {error}") from error
+    return _validated(endpoint.body, content)
+
+
+_Model = TypeVar("_Model", bound=BaseModel)
+
+
+def _validated(model: type[_Model], content: object) -> _Model:
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        found = error.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in found["loc"]) or "the body"
+        known = f"; known are {', '.join(model.model_fields)}" if found["type"] == "extra_forbidden" else ""
+        raise ProblemError(422, f"{where} = {found['input']!r:.60}: {found['msg']}{known}") from error
+
+
+async def _read_body(request: Request, limit: int) -> bytes:
+    """Return the body, never more than the limit, and within the time."""
+    claimed = request.headers.get("content-length", "0")
+    if claimed.isdecimal() and int(claimed) > limit:
+        raise ProblemError(413, f"the body has {claimed:.20} bytes; at most {limit} are taken")
+    raw = bytearray()
+    try:
+        async with asyncio.timeout(BODY_TIMEOUT_S):
+            async for chunk in request.stream():
+                raw += chunk
+                if len(raw) > limit:
+                    raise ProblemError(413, f"the body is larger than {limit} bytes")
+    except TimeoutError as error:
+        raise ProblemError(408, f"the body was not there within {BODY_TIMEOUT_S:g} s") from error
+    return bytes(raw)

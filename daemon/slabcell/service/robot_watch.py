@@ -1,0 +1,69 @@
+"""What is known of the robot?  Whether it is connected, and what it said of itself in its last request."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from slabcell.cell.cell import Cell
+from slabcell.service.links import LinkName, Links, LinkState
+from slabcell_drivers.robot.protocol import Answer, Request, RobotLink
+from slabcell_drivers.robot.protocol import LinkState as RobotLinkState
+
+__all__ = ["RobotWatch"]
+
+MODES = ("unknown", "T1", "T2", "AUT", "EXT")
+
+
+class RobotWatch:
+    """Stands between link and cell: hands every request on, and notes what passes."""
+
+    def __init__(self, cell: Cell, links: Links, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self.last: Request | None = None
+        """The newest request."""
+        self.last_s = 0.0
+        self._cell = cell
+        self._links = links
+        self._clock = clock
+        self._address = ""
+
+    async def handle(self, request: Request) -> Answer:
+        """Answer a request: what a `RobotLink` needs."""
+        self.last, self.last_s = request, self._clock()
+        return await self._cell.handle(request)
+
+    def link_changed(self, state: RobotLinkState) -> None:
+        """Note where the link stands, and tell the cell: the hook of a `RobotLink`."""
+        if state is RobotLinkState.CONNECTED:
+            self._links.set(LinkName.ROBOT, LinkState.UP, f"connected{self._address}")
+            self._cell.robot_link(connected=True)
+            return
+        waiting = state is RobotLinkState.LISTENING
+        self._links.set(
+            LinkName.ROBOT,
+            LinkState.CONNECTING if waiting else LinkState.DOWN,
+            f"waiting for the robot{self._address}" if waiting else "closed",
+        )
+        if waiting:  # closed is what we do ourselves, in the end
+            self._cell.robot_link(connected=False)
+
+    def meets_at(self, host: str, port: int, link: RobotLink) -> None:
+        """Note where both meet, once that is known."""
+        self._address = f" at {host}:{port}"
+        self.link_changed(link.state)
+
+    @property
+    def connected(self) -> bool:
+        """Whether a robot is connected."""
+        return self._links[LinkName.ROBOT].state is LinkState.UP
+
+    @property
+    def mode(self) -> str:
+        """The robot's mode of operation by its last word."""
+        mode = self.last.status.mode if self.last else 0
+        return MODES[mode] if 0 <= mode < len(MODES) else "unknown"
+
+    @property
+    def age_s(self) -> float:
+        """How long ago it asked for something, in seconds."""
+        return self._clock() - self.last_s

@@ -1,0 +1,100 @@
+"""The daemon as systemd and the robot see it: a process, a real camera driver, the shipped robot programs."""
+
+import socket
+from pathlib import Path
+
+import pytest
+
+from slabcell.template import load_template
+
+pytestmark = [pytest.mark.integration, pytest.mark.timeout(180)]
+
+CONFIG = Path(__file__).parents[3] / "config"
+LIMIT_S = 60.0
+
+
+def test_the_robot_lays_the_pattern_through_the_daemon_and_it_ends_in_order(cell) -> None:
+    with cell.daemon() as daemon:
+        cell.wait_for_log("camera open")
+        with cell.world.controller(daemon.address, seed=1) as controller:
+            result = controller.run("SlabCell", max_wall_s=LIMIT_S)
+        assert (result.status, result.message) == ("done", "")
+        assert daemon.stop() == 0
+    slots = load_template(CONFIG / "templates" / "dresden.csv").slots
+    placements = cell.world.world.placements([slot.vertices for slot in slots])
+    assert all(placement.filled for placement in placements)
+    assert max(abs(value) for p in placements for value in (p.dx_mm, p.dy_mm, p.dtheta_deg)) < 0.3
+    assert list((cell.folder / "state" / "bundles").iterdir())
+
+
+def test_the_cell_connects_to_a_robot_that_serves(cell) -> None:
+    text = cell.config.read_text().replace("[robot.eki]", "[robot.krl]\nrobot_connects = false\n\n[robot.eki]")
+    cell.config.write_text(text.replace("robot_connects = false", 'robot_connects = false\nrobot_ip = "127.0.0.1"'))
+    with cell.daemon() as daemon:
+        assert daemon.address == ("127.0.0.1", 54_600)
+        assert daemon.stop() == 0
+
+
+def test_the_supervisor_hears_ready_signs_of_life_and_the_end(cell) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as supervisor:
+        address = str(cell.folder / "notify")
+        supervisor.bind(address)
+        supervisor.settimeout(LIMIT_S)
+        with cell.daemon(NOTIFY_SOCKET=address, WATCHDOG_USEC="300000") as daemon:
+            assert supervisor.recv(4096).startswith(b"READY=1")
+            assert supervisor.recv(4096) == b"WATCHDOG=1"
+            assert supervisor.recv(4096) == b"WATCHDOG=1"
+            assert daemon.stop() == 0
+            heard = b""
+            while heard != b"STOPPING=1":
+                heard = supervisor.recv(4096)
+
+
+def test_a_second_instance_is_told_to_try_later_and_names_the_first(cell) -> None:
+    with cell.daemon() as daemon:
+        second = cell.run()
+        assert second.returncode == 75
+        assert f"process {daemon.process.pid}" in second.stderr
+
+
+def test_an_address_that_is_taken_is_named(cell) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        cell.config.write_text(cell.config.read_text().replace("port = 0", f"port = {port}"))
+        done = cell.run()
+    assert done.returncode == 69
+    assert f"127.0.0.1:{port} cannot be listened on" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_cell_without_its_calibration_does_not_start(cell) -> None:
+    (cell.folder / "calibration.json").unlink()
+    done = cell.run()
+    assert done.returncode == 78
+    assert "calibration.json" in done.stderr
+
+
+def test_another_camera_than_the_calibrated_one_is_refused(cell) -> None:
+    path = cell.folder / "calibration.json"
+    path.write_text(path.read_text().replace(cell.world.scene.camera.serial, "ANOTHER"))
+    with cell.daemon() as daemon:
+        cell.wait_for_log("camera refused")
+        cell.wait_for_log('"halted"')
+        with cell.world.controller(daemon.address, seed=1) as controller:
+            result = controller.run("SlabCell", max_wall_s=LIMIT_S)
+        assert result.status == "halted"
+        assert daemon.stop() == 0
+    assert not cell.world.world.events
+
+
+def test_a_camera_that_is_not_there_is_waited_for_and_the_robot_is_told(cell) -> None:
+    text = cell.config.read_text()
+    lines = ['camera = "127.0.19.250"' if line.startswith("camera = ") else line for line in text.splitlines()]
+    cell.config.write_text("\n".join(lines))
+    with cell.daemon() as daemon:
+        with cell.world.controller(daemon.address, seed=1) as controller:
+            result = controller.run("SlabCell", max_wall_s=LIMIT_S)
+        assert result.status == "halted"
+        assert any("1101" in str(message) for message in controller.messages)
+        assert daemon.stop() == 0
+    assert not cell.world.world.events
