@@ -82,6 +82,21 @@ bool is_a(const void *handle, Kind kind);
 Device *device_open(const char *address, bool control, GcError *error);
 void stream_free(Stream *stream);
 
+/* buffers; with the stream's lock held */
+Buffer *stream_match(Stream *stream, ArvBuffer *arv);
+void stream_push(Stream *stream, Buffer *buffer);
+void stream_discard_filled(Stream *stream);
+
+/* cameras that answer a discovery */
+typedef struct {
+    char *id;      /* the camera's IPv4 address: stable, and quick to open */
+    char *vendor;
+    char *model;
+    char *serial;
+} Found;
+
+GPtrArray *discover(void); /* of Found; the caller frees it */
+
 #define REQUIRE(handle, kind)                                                             \
     do {                                                                                  \
         if (!is_a((handle), (kind))) return fail(GC_INVALID_HANDLE, "invalid handle"); \

@@ -4,29 +4,12 @@
 
 #include "producer.h"
 
-typedef struct {
-    char *id;      /* the camera's IPv4 address: stable, and quick to open */
-    char *vendor;
-    char *model;
-    char *serial;
-} Found;
-
 static Module system_module;
 static Module interface_module;
 static GMutex lock; /* guards what follows */
 static int initialized;
 static GPtrArray *found_devices;
 static GPtrArray *open_devices;
-
-static void free_found(gpointer pointer)
-{
-    Found *found = pointer;
-    g_free(found->id);
-    g_free(found->vendor);
-    g_free(found->model);
-    g_free(found->serial);
-    g_free(found);
-}
 
 GENTL_API GcError GCInitLib(void)
 {
@@ -36,7 +19,7 @@ GENTL_API GcError GCInitLib(void)
         arv_disable_interface("USB3Vision");
         module_init(&system_module, SYSTEM, "TLPort", "TLSystem");
         module_init(&interface_module, INTERFACE, "InterfacePort", "TLInterface");
-        found_devices = g_ptr_array_new_with_free_func(free_found);
+        found_devices = g_ptr_array_new();
         open_devices = g_ptr_array_new();
     }
     g_mutex_unlock(&lock);
@@ -166,22 +149,13 @@ GENTL_API GcError IFGetParentTL(Handle interface, Handle *system)
 
 GENTL_API GcError IFUpdateDeviceList(Handle interface, Bool8 *changed, uint64_t timeout_ms)
 {
-    (void) timeout_ms; /* Aravis listens for one second */
+    (void) timeout_ms; /* it takes a second, or less where addresses are given */
     REQUIRE(interface, INTERFACE);
+    GPtrArray *seen = discover();
     g_mutex_lock(&lock);
-    guint before = found_devices->len;
-    arv_update_device_list();
-    g_ptr_array_set_size(found_devices, 0);
-    for (guint i = 0; i < arv_get_n_devices(); i++) {
-        if (g_strcmp0(arv_get_device_protocol(i), "GigEVision") != 0) continue;
-        Found *found = g_new0(Found, 1);
-        found->id = g_strdup(arv_get_device_address(i));
-        found->vendor = g_strdup(arv_get_device_vendor(i));
-        found->model = g_strdup(arv_get_device_model(i));
-        found->serial = g_strdup(arv_get_device_serial_nbr(i));
-        g_ptr_array_add(found_devices, found);
-    }
-    if (changed != NULL) *changed = before != found_devices->len;
+    if (changed != NULL) *changed = seen->len != found_devices->len;
+    g_ptr_array_unref(found_devices);
+    found_devices = seen;
     g_mutex_unlock(&lock);
     return GC_SUCCESS;
 }

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from ipaddress import IPv4Address
 from typing import Final
 
+import structlog
+
 from slabcell_drivers.camera.aravis_device import AravisDevice
 from slabcell_drivers.camera.aravis_library import AravisLibrary
 from slabcell_drivers.camera.discovery import Interface, find_camera
@@ -21,6 +23,8 @@ from slabcell_drivers.camera.worker import Worker
 __all__ = ["AravisCamera"]
 
 SEARCH_S: Final = 0.3
+
+_log = structlog.get_logger(__name__)
 
 
 class AravisCamera(SupervisedCamera):
@@ -70,6 +74,9 @@ class _AravisBackend:
             self._address = None  # it may have another address when it comes back
         return sight
 
+    async def prepare(self) -> None:
+        pass  # connecting is quick
+
     async def connect(self) -> CameraInfo:
         address = self._address
         if address is None:
@@ -79,10 +86,15 @@ class _AravisBackend:
         def connect() -> CameraInfo:
             try:
                 device.connect()
-                return device.start()
+                info = device.start()
+                self._warn_of_small_buffer(device.payload_bytes())
+            except CameraLost:
+                device.abandon()
+                raise
             except BaseException:
                 device.close()
                 raise
+            return info
 
         self._device = device
         return await self._worker.call(connect)
@@ -101,8 +113,19 @@ class _AravisBackend:
 
     async def disconnect(self, *, lost: bool) -> None:
         device, self._device = self._device, None
+        if lost and not _is_address(self.name):
+            self._address = None  # it may have another address when it comes back, and another camera this one
         if device is not None:
             await self._worker.call(device.abandon if lost else device.close)
+
+    def _warn_of_small_buffer(self, frame_bytes: int) -> None:
+        granted = self._statistics.socket_buffer_bytes
+        if 0 < granted < frame_bytes:
+            _log.warning(
+                "socket buffer is smaller than a frame: packets are lost when this machine is busy",
+                camera=self.name, granted_bytes=granted, frame_bytes=frame_bytes,
+                remedy="sudo sysctl -w net.core.rmem_max=33554432",
+            )  # fmt: skip
 
     async def end(self, timeout_s: float) -> None:
         await self._worker.close(timeout_s)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from slabcell_drivers.camera.aravis_library import AravisError, AravisLibrary, DeviceFault, Pointer
+from slabcell_drivers.camera.features import remedy
 from slabcell_drivers.camera.protocol import CameraConfigError
 from slabcell_drivers.camera.settings import FeatureValue
 
@@ -59,17 +60,11 @@ class Features:
                 return False
             raise
 
-    def first_of(self, *names: str) -> str | None:
-        """Return the first of several names that the camera has."""
-        return next((name for name in names if self.has(name)), None)
-
     def kind(self, name: str) -> FeatureKind:
         """Say what a feature's value is.  Raises CameraConfigError if there is no such feature."""
         node = self._library.call("arv_device_get_feature", self._device, name.encode())
         if not node:
-            raise CameraConfigError(
-                f"camera {self._camera}: has no feature {name}; `slabcell camera info {self._camera}` lists what it has"
-            )
+            raise CameraConfigError(f"camera {self._camera}: has no feature {name}; {remedy(self._camera)}")
         return _kind_of(self._library.text("g_type_name_from_instance", node))
 
     def get(self, name: str) -> FeatureValue:
@@ -93,6 +88,11 @@ class Features:
     def set(self, name: str, value: FeatureValue) -> None:
         """Set a feature and read it back; a command is executed.  Raises as `get`."""
         kind, key = self.kind(name), name.encode()
+        if self._access(name) == "RO":
+            raise CameraConfigError(
+                f"camera {self._camera}: {name} = {value} is refused: it can only be read now;"
+                f" {remedy(self._camera, name)}"
+            )
         wanted = self._convert(name, kind, value)
         try:
             match kind:
@@ -108,14 +108,12 @@ class Features:
                     self._library.call("arv_device_execute_command", self._device, key)
                     return
         except AravisError as error:
-            raise self._refused(f"{name} = {value} is refused{self._range(name, kind)}", error) from error
+            raise self._refused(f"{name} = {value} is refused", error, name, kind) from error
         self._check(name, kind, wanted)
 
     def describe(self, name: str, category: str = "") -> Feature:
         """Return everything about a feature.  Raises CameraConfigError if there is none."""
-        kind = self.kind(name)
-        node = self._library.call("arv_device_get_feature", self._device, name.encode())
-        access = _ACCESS.get(self._library.call("arv_gc_feature_node_get_actual_access_mode", node), "?")
+        kind, access = self.kind(name), self._access(name)
         if kind in (FeatureKind.COMMAND, FeatureKind.CATEGORY, FeatureKind.OTHER) or access == "WO":
             return Feature(name, category, kind, access, None)
         try:
@@ -149,6 +147,10 @@ class Features:
             open_categories = inner + open_categories
         return tuple(found.values())
 
+    def _access(self, name: str) -> str:
+        node = self._library.call("arv_device_get_feature", self._device, name.encode())
+        return _ACCESS.get(self._library.call("arv_gc_feature_node_get_actual_access_mode", node), "?")
+
     def _convert(self, name: str, kind: FeatureKind, value: FeatureValue) -> FeatureValue:
         """Return the value in the feature's own type.  Raises CameraConfigError."""
         try:
@@ -166,23 +168,17 @@ class Features:
                 case FeatureKind.ENUMERATION:
                     choices = self._choices(name, kind)
                     if str(value) not in choices:
-                        raise CameraConfigError(
-                            f"camera {self._camera}: {name} = {value} is refused: it takes {', '.join(choices)}"
-                        )
+                        raise self._wrong(f"{name} = {value} is refused", name, kind)
                     return str(value)
                 case FeatureKind.CATEGORY | FeatureKind.OTHER:
                     raise CameraConfigError(f"camera {self._camera}: {name} is a {kind.value}, it cannot be set")
                 case _:
                     return value
         except (ValueError, KeyError) as error:
-            raise CameraConfigError(
-                f"camera {self._camera}: {name} = {value!r} is no {kind.value}{self._range(name, kind)}"
-            ) from error
+            raise self._wrong(f"{name} = {value!r} is no {kind.value}", name, kind) from error
         low, high = self._bounds(name, kind)
         if low is not None and high is not None and not low <= float(wanted) <= high:
-            raise CameraConfigError(
-                f"camera {self._camera}: {name} = {value} is refused: it must be {low:.10g} to {high:.10g}"
-            )
+            raise self._wrong(f"{name} = {value} is refused", name, kind)
         return wanted
 
     def _check(self, name: str, kind: FeatureKind, wanted: FeatureValue) -> None:
@@ -192,9 +188,7 @@ class Features:
             # Cameras round to their own steps (a line time, 0.1 dB): half a percent, or a hundredth of a unit.
             same = abs(float(seen) - float(wanted)) <= max(0.005 * abs(float(wanted)), 0.011)
         if not same:
-            raise CameraConfigError(
-                f"camera {self._camera}: {name} was set to {wanted} and reads {seen}{self._range(name, kind)}"
-            )
+            raise self._wrong(f"{name} was set to {wanted} and reads {seen}", name, kind)
 
     def _bounds(self, name: str, kind: FeatureKind) -> tuple[float | None, float | None]:
         try:
@@ -212,18 +206,41 @@ class Features:
             return ()
         return self._library.choices(self._device, name.encode())
 
-    def _range(self, name: str, kind: FeatureKind) -> str:
+    def _takes(self, name: str, kind: FeatureKind) -> str:
+        """Say which values a feature takes."""
         low, high = self._bounds(name, kind)
         if low is not None and high is not None:
-            return f" (it takes {low:.10g} to {high:.10g})"
+            step = self._step(name, kind)
+            return f"it must be {low:.10g} to {high:.10g}" + (f" in steps of {step}" if step > 1 else "")
         choices = self._choices(name, kind)
-        return f" (it takes {', '.join(choices)})" if choices else ""
+        if choices:
+            return f"it takes {', '.join(choices)}"
+        return "it takes true and false" if kind is FeatureKind.BOOLEAN else "the camera does not take it"
 
-    def _refused(self, what: str, error: AravisError) -> Exception:
-        """Return a configuration error, or the library's own where the camera did not answer at all."""
-        if error.code in (DeviceFault.TIMEOUT, DeviceFault.NOT_CONNECTED):
+    def _step(self, name: str, kind: FeatureKind) -> int:
+        """Return the step of an integer feature, 1 where it has none."""
+        if kind is not FeatureKind.INTEGER:
+            return 1
+        try:
+            return int(self._library.call("arv_device_get_integer_feature_increment", self._device, name.encode()))
+        except AravisError as error:
+            if error.code == DeviceFault.TIMEOUT:
+                raise
+            return 1
+
+    def _wrong(self, what: str, name: str, kind: FeatureKind) -> CameraConfigError:
+        """Return an error that says what the feature takes, and where to look."""
+        return CameraConfigError(
+            f"camera {self._camera}: {what}: {self._takes(name, kind)}; {remedy(self._camera, name)}"
+        )
+
+    def _refused(self, what: str, error: AravisError, name: str = "", kind: FeatureKind | None = None) -> Exception:
+        """Return a configuration error, or the library's own if the camera did not answer or obeys another client."""
+        if error.code in (DeviceFault.TIMEOUT, DeviceFault.NOT_CONNECTED) or "access-denied" in str(error):
             return error
-        return CameraConfigError(f"camera {self._camera}: {what}: {error}")
+        if kind is None:
+            return CameraConfigError(f"camera {self._camera}: {what}: {error}")
+        return self._wrong(f"{what} ({error})", name, kind)
 
 
 def _whole(value: FeatureValue) -> int:

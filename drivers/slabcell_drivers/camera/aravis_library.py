@@ -8,7 +8,7 @@ Source: Aravis 0.8 headers and reference manual, https://aravisproject.github.io
 
 import ctypes
 from collections.abc import Callable, Iterator
-from ctypes import POINTER, byref, c_char_p, c_double, c_int, c_int64, c_size_t, c_uint, c_uint64, c_void_p
+from ctypes import POINTER, byref, c_char_p, c_double, c_int, c_int64, c_size_t, c_uint, c_uint16, c_uint64, c_void_p
 from enum import IntEnum
 from typing import Any, Final, cast
 
@@ -114,6 +114,7 @@ _PROTOTYPES: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
     "arv_device_get_integer_feature_value": (c_int64, (c_void_p, c_char_p, _ERROR)),
     "arv_device_set_integer_feature_value": (None, (c_void_p, c_char_p, c_int64, _ERROR)),
     "arv_device_get_integer_feature_bounds": (None, (c_void_p, c_char_p, POINTER(c_int64), POINTER(c_int64), _ERROR)),
+    "arv_device_get_integer_feature_increment": (c_int64, (c_void_p, c_char_p, _ERROR)),
     "arv_device_get_float_feature_value": (c_double, (c_void_p, c_char_p, _ERROR)),
     "arv_device_set_float_feature_value": (None, (c_void_p, c_char_p, c_double, _ERROR)),
     "arv_device_get_float_feature_bounds": (None, (c_void_p, c_char_p, POINTER(c_double), POINTER(c_double), _ERROR)),
@@ -132,6 +133,9 @@ _PROTOTYPES: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
     "arv_buffer_get_data": (c_void_p, (c_void_p, POINTER(c_size_t))),
     "arv_buffer_get_frame_id": (c_uint64, (c_void_p,)),
     "arv_buffer_get_timestamp": (c_uint64, (c_void_p,)),
+    "arv_buffer_get_system_timestamp": (c_uint64, (c_void_p,)),
+    "arv_buffer_get_image_x": (c_int, (c_void_p,)),
+    "arv_buffer_get_image_y": (c_int, (c_void_p,)),
     "arv_buffer_get_image_width": (c_int, (c_void_p,)),
     "arv_buffer_get_image_height": (c_int, (c_void_p,)),
     "arv_buffer_get_image_pixel_format": (c_uint, (c_void_p,)),
@@ -140,6 +144,7 @@ _PROTOTYPES: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
     "arv_stream_try_pop_buffer": (c_void_p, (c_void_p,)),
     "arv_stream_timeout_pop_buffer": (c_void_p, (c_void_p, c_uint64)),
     "arv_stream_get_statistics": (None, (c_void_p, POINTER(c_uint64), POINTER(c_uint64), POINTER(c_uint64))),
+    "arv_gv_stream_get_port": (c_uint16, (c_void_p,)),
     "arv_gv_stream_get_statistics": (None, (c_void_p, POINTER(c_uint64), POINTER(c_uint64))),
     "g_object_unref": (None, (c_void_p,)),
     "g_error_free": (None, (c_void_p,)),

@@ -10,7 +10,8 @@ import selectors
 import socket
 import struct
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Generator, Iterable, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from ipaddress import IPv4Address
 from typing import Final
@@ -76,36 +77,44 @@ def discover(
 
     ``on`` limits the broadcast to some interfaces; ``ask`` are addresses that are asked directly as well.
     """
-    found: dict[tuple[bytes, IPv4Address], Device] = {}
+    with closing(_devices(timeout_s, on, ask)) as answers:
+        found = {(device.mac, device.address): device for device in answers}
+    return tuple(sorted(found.values(), key=lambda device: device.address))
+
+
+def find_camera(wanted: str, timeout_s: float = DISCOVERY_S, *, on: Sequence[Interface] | None = None) -> Device | None:
+    """Return the camera with this address, serial number, MAC address or user-defined name, None if none answers.
+
+    It returns as soon as that camera has answered.
+    """
+    try:
+        ask = (str(IPv4Address(wanted)),)
+    except ValueError:
+        ask = ()
+    with closing(_devices(timeout_s, on, ask)) as answers:
+        for device in answers:
+            if wanted in (str(device.address), device.serial, device.mac_text, device.user_name):
+                return device
+    return None
+
+
+def _devices(timeout_s: float, on: Sequence[Interface] | None, ask: Iterable[str]) -> Generator[Device]:
+    """Ask everybody, and yield each answer as it comes; a camera may answer more than once."""
     request = Request(Command.DISCOVERY, 1 + secrets.randbelow(0xFFFE), flags=0x01 | ALLOW_BROADCAST_ANSWER)
     datagram = encode_request(request)
     sockets = _open(interfaces() if on is None else on)
     try:
         for port, interface in sockets:
-            for target in (interface.broadcast, _EVERYBODY, *ask):
+            for target in (*ask, interface.broadcast, _EVERYBODY):
                 _send(port, datagram, target)
         for body in _answers([port for port, _ in sockets], request.number, timeout_s):
             try:
-                device = decode_device(body)
+                yield decode_device(body)
             except GvcpError:
                 continue  # somebody answers who does not speak GVCP
-            found[device.mac, device.address] = device
     finally:
         for port, _ in sockets:
             port.close()
-    return tuple(sorted(found.values(), key=lambda device: device.address))
-
-
-def find_camera(wanted: str, timeout_s: float = DISCOVERY_S, *, on: Sequence[Interface] | None = None) -> Device | None:
-    """Return the camera with this address, serial number, MAC address or user-defined name, None if none answers."""
-    try:
-        ask = (str(IPv4Address(wanted)),)
-    except ValueError:
-        ask = ()
-    for device in discover(timeout_s, on=on, ask=ask):
-        if wanted in (str(device.address), device.serial, device.mac_text, device.user_name):
-            return device
-    return None
 
 
 def force_ip(

@@ -2,32 +2,24 @@
 
 The genicam binding holds Python's global lock while a producer waits for a dead camera, so it must not live in the
 daemon.  Each connection has a process of its own: what a producer leaks, ends with it.  This module is *not*
-responsible for reconnecting (`supervision`) or for the calls themselves (`harvesters_device`).
+responsible for reconnecting (`supervision`), for talking to the process (`harvesters_process`) or for the calls
+themselves (`harvesters_device`).
 """
 
 import asyncio
 import contextlib
-import json
-import mmap
 import os
-import socket
-import sys
-import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from ipaddress import IPv4Address
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-import numpy as np
-
-from slabcell_drivers.camera import protocol
 from slabcell_drivers.camera.discovery import Interface, find_camera
-from slabcell_drivers.camera.harvesters_child import SHARED_BYTES
-from slabcell_drivers.camera.pixel_formats import PIXEL_FORMATS, decode_pixels
+from slabcell_drivers.camera.harvesters_process import HarvestersProcess
 from slabcell_drivers.camera.probe import Sight, look
-from slabcell_drivers.camera.protocol import CameraConfigError, CameraError, CameraInfo, CameraLost, ImageFrame, Pixels
+from slabcell_drivers.camera.protocol import CameraConfigError, CameraError, CameraInfo, CameraLost, ImageFrame
 from slabcell_drivers.camera.settings import CameraSettings, CameraStatistics
 from slabcell_drivers.camera.supervision import SupervisedCamera
 from slabcell_drivers.gentl import ProducerBuildError, build
@@ -36,7 +28,7 @@ __all__ = ["HarvestersCamera", "producers_of_environment"]
 
 PRODUCERS_VARIABLE: Final = "GENICAM_GENTL64_PATH"
 CLOSE_S: Final = 3.0
-_CHILD: Final = "slabcell_drivers.camera.harvesters_child"
+SEARCH_S: Final = 0.3
 
 
 def producers_of_environment() -> tuple[Path, ...]:
@@ -85,7 +77,8 @@ class _HarvestersBackend:
         self._settings = settings
         self._statistics = statistics
         self._on = on
-        self._child: _Child | None = None
+        self._child: HarvestersProcess | None = None
+        self._spare: HarvestersProcess | None = None
         self._info: CameraInfo | None = None
         self._address = ""
         self._counted: dict[str, int] = {}
@@ -103,7 +96,85 @@ class _HarvestersBackend:
             return await look(self._address, timeout_s)
         return Sight.CONTROLLED if self._connected else Sight.FREE
 
+    async def prepare(self) -> None:
+        """Have a process ready, its libraries loaded, for when the camera is back."""
+        self._spare = await self._process()
+
     async def connect(self) -> CameraInfo:
+        producers = await self._existing_producers()
+        serial, address = await self._found()
+        await self._drop()
+        child = self._child = await self._process()
+        try:
+            found = await child.ask(
+                "start",
+                producers=[str(path) for path in producers],
+                camera=self.name,
+                serial=serial,
+                address=address,
+                settings=asdict(self._settings),
+            )
+        except BaseException:
+            await self._drop()
+            raise
+        self._address = found.pop("address")
+        self._info = CameraInfo(**found)
+        self._connected = True
+        return self._info
+
+    async def shoot(self, deadline_s: float) -> ImageFrame:
+        child, info = self._child, self._info
+        if child is None or info is None:
+            raise CameraLost(f"camera {self.name}: is not connected")
+        try:
+            found = await child.ask("snap", deadline_s=deadline_s)
+        finally:
+            self._count(child.counts)
+        pixels = await asyncio.to_thread(child.pixels, found["size"], info)
+        received_s = time.monotonic()
+        return ImageFrame(
+            pixels,
+            info.pixel_format,
+            found["frame_id"],
+            found["triggered_s"],
+            received_s,
+            found["device_timestamp_ns"],
+            found["said"],
+        )
+
+    async def disconnect(self, *, lost: bool) -> None:
+        child = self._child
+        if child is not None and not lost and child.alive:
+            with contextlib.suppress(CameraError, TimeoutError):  # it is ended in any case
+                await asyncio.wait_for(child.ask("close"), CLOSE_S)
+        await self._drop()
+
+    async def end(self, timeout_s: float) -> None:
+        del timeout_s
+        self._address = ""
+        await self._drop()
+        spare, self._spare = self._spare, None
+        if spare is not None:
+            await spare.end()
+
+    async def _process(self) -> HarvestersProcess:
+        """Return a process that holds no camera: the one that was kept ready, or a new one."""
+        spare, self._spare = self._spare, None
+        if spare is not None and spare.alive:
+            return spare
+        if spare is not None:
+            await spare.end()
+        return await HarvestersProcess.start(self.name)
+
+    async def _drop(self) -> None:
+        child, self._child = self._child, None
+        self._connected = False
+        self._counted = {}
+        if child is not None:
+            await child.end()
+
+    async def _existing_producers(self) -> tuple[Path, ...]:
+        """Return the producers to load, ours if there is no other.  Raises CameraConfigError."""
         if not self._producers:
             try:
                 self._producers = (await asyncio.to_thread(build),)
@@ -114,189 +185,30 @@ class _HarvestersBackend:
                 ) from error
         missing = [str(path) for path in self._producers if not path.is_file()]
         if missing:
-            raise CameraConfigError(f"camera {self.name}: there is no GenTL producer {', '.join(missing)}")
-        await self.disconnect(lost=True)
-        child = self._child = await _Child.start(self.name)
-        try:
-            found = await child.ask(
-                "start",
-                producers=[str(path) for path in self._producers],
-                camera=self.name,
-                serial=await self._serial(),
-                settings=asdict(self._settings),
+            raise CameraConfigError(
+                f"camera {self.name}: there is no GenTL producer {', '.join(missing)}; give the path of the .cti file"
+                f" that the camera's vendor installs, or none at all"
             )
-        except BaseException:
-            await self.disconnect(lost=True)
-            raise
-        self._address = found.pop("address")
-        self._info = CameraInfo(**found)
-        self._counted = {}
-        self._connected = True
-        return self._info
+        return self._producers
 
-    async def shoot(self, deadline_s: float) -> ImageFrame:
-        child, info = self._child, self._info
-        if child is None or info is None:
-            raise CameraLost(f"camera {self.name}: is not connected")
-        found = await child.ask("snap", deadline_s=deadline_s)
-        pixels = await asyncio.to_thread(child.pixels, found["bytes"], info)
-        received_s = time.monotonic()
-        self._count(found["counts"])
-        self._statistics.latency_s = received_s - found["triggered_s"]
-        return ImageFrame(
-            pixels,
-            info.pixel_format,
-            found["frame_id"],
-            found["triggered_s"],
-            received_s,
-            found["device_timestamp_ns"],
-        )
+    async def _found(self) -> tuple[str, str]:
+        """Return serial number and IPv4 address of the camera; the name and nothing if it is not seen by GigE Vision.
 
-    async def disconnect(self, *, lost: bool) -> None:
-        child, self._child = self._child, None
-        self._connected = False
-        if child is None:
-            return
-        if not lost and child.alive:
-            with contextlib.suppress(CameraError, TimeoutError):  # it is ended in any case
-                await asyncio.wait_for(child.ask("close"), CLOSE_S)
-        await child.end()
-
-    async def end(self, timeout_s: float) -> None:
-        del timeout_s
-        self._address = ""
-        await self.disconnect(lost=True)
-
-    async def _serial(self) -> str:
-        """Return the serial number of the camera at an address, or the name as it was given."""
+        Raises CameraLost if there is nobody at the address that is its name.
+        """
+        found = await asyncio.to_thread(find_camera, self.name, SEARCH_S, on=self._on)
+        if found is not None:
+            return found.serial, str(found.address)
         try:
             IPv4Address(self.name)
         except ValueError:
-            return self.name
-        found = await asyncio.to_thread(find_camera, self.name, 0.3, on=self._on)
-        if found is None:
-            raise CameraLost(f"camera {self.name}: does not answer: check its power, its cable and its address")
-        return found.serial
+            return self.name, ""
+        raise CameraLost(f"camera {self.name}: does not answer: check its power, its cable and its address")
 
-    def _count(self, counts: dict[str, int]) -> None:
-        for name, value in counts.items():
-            grown = value - self._counted.get(name, 0)
+    def _count(self, counts: Mapping[str, int | float]) -> None:
+        """Take over what the process counted since it was last asked."""
+        for name in ("incomplete", "timeouts", "stale", "gaps", "retries", "restarts", "underruns"):
+            seen = int(counts.get(name, 0))
+            grown = seen - self._counted.get(name, 0)
             setattr(self._statistics, name, getattr(self._statistics, name) + grown)
-        self._counted = counts
-        self._statistics.frames += 1
-
-
-class _Child:
-    """The process, its socket, and the memory that it shares with us."""
-
-    def __init__(self, name: str) -> None:
-        self._name = name
-        self._memory_fd = os.memfd_create("slabcell-frame", os.MFD_CLOEXEC)
-        os.ftruncate(self._memory_fd, SHARED_BYTES)
-        self._memory = mmap.mmap(self._memory_fd, SHARED_BYTES, prot=mmap.PROT_READ)
-        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - it lives as long as the process
-        self._waiting: dict[int, asyncio.Future[dict[str, Any]]] = {}
-        self._number = 0
-        self._process: asyncio.subprocess.Process | None = None
-        self._reader: asyncio.Task[None] | None = None
-        self._writer: asyncio.StreamWriter | None = None
-
-    @classmethod
-    async def start(cls, name: str) -> "_Child":
-        """Start a process."""
-        child = cls(name)
-        ours, theirs = socket.socketpair()
-        try:
-            child._process = await asyncio.create_subprocess_exec(
-                sys.executable, "-m", _CHILD, str(theirs.fileno()), str(child._memory_fd),
-                stdin=asyncio.subprocess.DEVNULL, stdout=child._errors, stderr=child._errors,
-                pass_fds=(theirs.fileno(), child._memory_fd),
-            )  # fmt: skip
-        except BaseException:
-            ours.close()
-            await child.end()
-            raise
-        finally:
-            theirs.close()
-        reader, child._writer = await asyncio.open_connection(sock=ours)
-        child._reader = asyncio.create_task(child._read(reader), name=f"harvesters {name}")
-        return child
-
-    @property
-    def process_id(self) -> int | None:
-        return self._process.pid if self._process else None
-
-    @property
-    def alive(self) -> bool:
-        """Whether it still serves."""
-        return self._reader is not None and not self._reader.done()
-
-    async def ask(self, what: str, **details: object) -> dict[str, Any]:
-        """Return the answer to a request.  Raises CameraError, CameraLost if the process ends instead."""
-        if self._writer is None or not self.alive:
-            raise CameraLost(self._obituary())
-        self._number = number = self._number + 1
-        future: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
-        self._waiting[number] = future
-        document = {"do": what, "number": number} | details
-        self._writer.write(json.dumps(document).encode() + b"\n")
-        try:
-            return await future
-        finally:
-            self._waiting.pop(number, None)
-
-    def pixels(self, count: int, info: CameraInfo) -> Pixels:
-        """Return the picture in the shared memory, in memory of its own."""
-        data = np.frombuffer(self._memory, np.uint8, count=count)
-        return decode_pixels(data, info.width, info.height, PIXEL_FORMATS[info.pixel_format])
-
-    async def end(self) -> None:
-        """Kill the process, whatever it is doing."""
-        process, self._process = self._process, None
-        if process is not None:
-            with contextlib.suppress(ProcessLookupError):
-                process.kill()
-            await process.wait()
-        if self._writer is not None:
-            self._writer.close()
-            with contextlib.suppress(OSError):
-                await self._writer.wait_closed()
-        if self._reader is not None:
-            await asyncio.wait({self._reader})
-        os.close(self._memory_fd)
-        self._errors.close()
-        # The mapping goes with the last array that looks into it.
-
-    async def _read(self, reader: asyncio.StreamReader) -> None:
-        try:
-            while line := await reader.readline():
-                answer = json.loads(line)
-                future = self._waiting.get(answer["number"])
-                if future is None or future.done():
-                    continue  # whoever asked has gone
-                if "error" in answer:
-                    future.set_exception(_error(answer["error"], answer["message"]))
-                else:
-                    future.set_result(answer["result"])
-        except OSError:
-            pass  # the process died between two bytes: the same as if it had ended
-        finally:
-            for future in self._waiting.values():
-                if not future.done():
-                    future.set_exception(CameraLost(self._obituary()))
-
-    def _obituary(self) -> str:
-        """Say that the process has ended, with its last words."""
-        words = ""
-        if not self._errors.closed:
-            self._errors.seek(max(0, self._errors.seek(0, os.SEEK_END) - 400))
-            words = self._errors.read().decode("utf-8", "replace").strip().rpartition("\n")[2]
-        return f"camera {self._name}: the GenTL producer's process has ended" + (f" ({words})" if words else "")
-
-
-def _error(name: str, message: str) -> CameraError:
-    """Return the camera error of this name; what is none is a lost camera."""
-    found = getattr(protocol, name, None)
-    if isinstance(found, type) and issubclass(found, CameraError):
-        return found(message)
-    return CameraLost(f"{name}: {message}")
+            self._counted[name] = seen

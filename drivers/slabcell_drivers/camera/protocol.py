@@ -1,6 +1,7 @@
 """What is a camera to the cell?  The `Camera` protocol, the frame it delivers, and the errors it may raise."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Protocol
 
@@ -76,7 +77,8 @@ class ImageFrame:
     """One complete picture and when it was taken.
 
     ``pixels`` owns its memory and is not written again.  The times are of the host's monotonic clock, in seconds;
-    ``device_timestamp_ns`` is the camera's own clock where it has one.
+    ``device_timestamp_ns`` is the camera's own clock where it has one.  ``said`` is what else the producer says of the
+    frame, under the producer's own names.
     """
 
     pixels: Pixels
@@ -85,6 +87,7 @@ class ImageFrame:
     triggered_s: float
     received_s: float
     device_timestamp_ns: int | None = None
+    said: Mapping[str, str | int | float] = field(default_factory=dict[str, str | int | float])
 
 
 class Camera(Protocol):

@@ -67,3 +67,5 @@ class CameraStatistics:
     packets_missing: int = 0
     latency_s: float = 0.0
     """From trigger to pixels, of the newest frame."""
+    socket_buffer_bytes: int = 0
+    """What the kernel gave the stream's socket, read back; 0 if that is not known."""

@@ -7,12 +7,15 @@ A backend knows how pictures are taken; this module decides how long it may take
 import asyncio
 import contextlib
 import time
-from collections.abc import Awaitable
+from collections.abc import Awaitable, Callable
 from typing import Final, Protocol, TypeVar
+
+import structlog
 
 from slabcell_drivers.camera.probe import Sight
 from slabcell_drivers.camera.protocol import (
     CameraBusy,
+    CameraConfigError,
     CameraError,
     CameraInfo,
     CameraLost,
@@ -25,6 +28,8 @@ from slabcell_drivers.camera.settings import CameraStatistics
 __all__ = ["Backend", "SupervisedCamera"]
 
 T = TypeVar("T")
+
+_log = structlog.get_logger(__name__)
 
 LOOK_S: Final = 0.5
 """A camera that answers, answers within milliseconds; this long is silence."""
@@ -53,12 +58,16 @@ class Backend(Protocol):
         """Take control, apply the settings, take a first picture.  Raises CameraError and leaves nothing open."""
         ...
 
+    async def prepare(self) -> None:
+        """Do what can be done while the camera is away, so that `connect` is quick when it is back."""
+        ...
+
     async def shoot(self, deadline_s: float) -> ImageFrame:
         """Take one picture.  Raises CameraError."""
         ...
 
     async def disconnect(self, *, lost: bool) -> None:
-        """Give the camera back, or give it up; may be called twice."""
+        """Give the camera back, or give it up and forget where it was; may be called twice.  Raises CameraError."""
         ...
 
     async def end(self, timeout_s: float) -> None:
@@ -69,9 +78,16 @@ class Backend(Protocol):
 class SupervisedCamera:
     """A `Camera` over a backend."""
 
-    def __init__(self, backend: Backend, statistics: CameraStatistics) -> None:
+    def __init__(
+        self,
+        backend: Backend,
+        statistics: CameraStatistics,
+        *,
+        pause: Callable[[float], Awaitable[None]] = asyncio.sleep,
+    ) -> None:
         self.statistics = statistics
         self._backend = backend
+        self._pause = pause
         self._state = CameraState.CLOSED
         self._changed = asyncio.Event()
         self._cause = _CLOSED
@@ -107,7 +123,7 @@ class SupervisedCamera:
         except BaseException as error:
             self._become(CameraState.LOST)
             self._cause = str(error)
-            await asyncio.shield(self._backend.disconnect(lost=True))
+            await asyncio.shield(self._let_go(lost=True))
             await self._backend.end(DISCONNECT_S)
             raise
         self._become(CameraState.READY)
@@ -125,9 +141,12 @@ class SupervisedCamera:
         try:
             if self._state is not CameraState.READY:
                 raise CameraLost(f"camera {self._backend.name}: is {self._state.value}: {self._cause}")
-            return await self._snap(deadline_s, timeout_s)
+            frame = await self._snap(deadline_s, timeout_s)
         finally:
             self._busy.release()
+        self.statistics.frames += 1
+        self.statistics.latency_s = frame.received_s - frame.triggered_s
+        return frame
 
     async def close(self) -> None:
         """Give the camera back; may be called twice."""
@@ -139,13 +158,14 @@ class SupervisedCamera:
         was_ready = self._state is CameraState.READY
         self._become(CameraState.CLOSED)
         self._cause = _CLOSED
-        await self._within(DISCONNECT_S, self._backend.disconnect(lost=not was_ready))
+        await self._let_go(lost=not was_ready)
         await self._backend.end(DISCONNECT_S)
 
     async def _snap(self, deadline_s: float, timeout_s: float) -> ImageFrame:
         # The last part of the time is for finding out whether the camera is still there.
         look_s = min(LOOK_S, 0.3 * timeout_s)
         shot_s = deadline_s - look_s
+        answer_s = deadline_s - min(0.01, 0.1 * look_s)  # the caller hears by the deadline, not just after it
         try:
             async with asyncio.timeout_at(_loop_time(shot_s + 0.5 * look_s)):
                 return await self._backend.shoot(shot_s)
@@ -153,7 +173,7 @@ class SupervisedCamera:
             self._lose(str(error))
             raise
         except (TimeoutError, CameraTimeout) as error:
-            sight = await self._backend.look(max(0.05, deadline_s - time.monotonic()))
+            sight = await self._backend.look(max(0.02, answer_s - time.monotonic()))
             if sight is not Sight.CONTROLLED:
                 cause = f"camera {self._backend.name}: no longer ours, {sight.value}: check its power and its cable"
                 self._lose(cause)
@@ -218,22 +238,38 @@ class SupervisedCamera:
                 self._lose(f"camera {self._backend.name}: no longer ours, {sight.value}")
 
     async def _recover(self) -> None:
-        await self._within(DISCONNECT_S, self._backend.disconnect(lost=True))
+        """Bring a lost camera back, however long that takes."""
+        known = self._info
         attempt = 0
         while True:
+            await self._let_go(lost=True)
             try:
-                self._info = await self._until_connected(time.monotonic() + CONNECT_S)
+                await self._backend.prepare()
+                found = await self._until_connected(time.monotonic() + CONNECT_S)
+                _require_same(self._backend.name, known, found)
             except CameraError as error:
                 self._cause = str(error)
-                await self._within(DISCONNECT_S, self._backend.disconnect(lost=True))
-                if await self._backend.look(LOOK_S) is not Sight.SILENT:
-                    # It is there and refuses: asking faster does not help.
-                    await asyncio.sleep(BACKOFF_S[min(attempt, len(BACKOFF_S) - 1)])
-                    attempt += 1
-                continue
-            self.statistics.reconnects += 1
-            self._become(CameraState.READY)
-            return
+            except Exception as error:  # noqa: BLE001 - logged, and tried again
+                # Whatever a library does: the watch goes on, or nobody would bring the camera back.
+                self._cause = f"camera {self._backend.name}: could not be opened again: {error!r}"
+                _log.exception("camera cannot be opened again", camera=self._backend.name)
+            else:
+                self._info = found
+                self.statistics.reconnects += 1
+                self._become(CameraState.READY)
+                return
+            if await self._backend.look(LOOK_S) is not Sight.SILENT:
+                # It is there and refuses: asking faster does not help.
+                await self._let_go(lost=False)
+                await self._pause(BACKOFF_S[min(attempt, len(BACKOFF_S) - 1)])
+                attempt += 1
+
+    async def _let_go(self, *, lost: bool) -> None:
+        """Give the camera back or up; what a dead camera's library says to that changes nothing."""
+        try:
+            await self._within(DISCONNECT_S, self._backend.disconnect(lost=lost))
+        except CameraError as error:
+            _log.warning("camera could not be given back", camera=self._backend.name, error=str(error))
 
     async def _within(self, timeout_s: float, what: Awaitable[T]) -> T | None:
         """Wait for something that may hang, but not longer than this."""
@@ -246,3 +282,16 @@ class SupervisedCamera:
 def _loop_time(monotonic_s: float) -> float:
     """Return a monotonic time as the running loop counts it."""
     return asyncio.get_running_loop().time() + (monotonic_s - time.monotonic())
+
+
+def _require_same(name: str, known: CameraInfo | None, found: CameraInfo) -> None:
+    """Raise CameraConfigError unless the camera that came back is the one that was opened, set as it was."""
+    if known is not None and found != known:
+        raise CameraConfigError(
+            f"camera {name}: what answers is {_described(found)}, opened was {_described(known)}; put back the camera"
+            " that was there, or calibrate this one and start the cell again"
+        )
+
+
+def _described(info: CameraInfo) -> str:
+    return f"{info.vendor} {info.model} {info.serial}, {info.pixel_format} of {info.width}x{info.height}"

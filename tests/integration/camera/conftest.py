@@ -1,12 +1,12 @@
 """Cameras to test with: in this process, or as programs that can be killed; each test's on an address of its own."""
 
-import itertools
 import os
 import shutil
 import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from ipaddress import IPv4Address
 from pathlib import Path
 
 import pytest
@@ -40,10 +40,10 @@ def aravis(_addresses: Iterator[str]) -> AravisLibrary:
 
 
 @pytest.fixture(scope="session")
-def _addresses(worker_id: str) -> Iterator[str]:
-    """Addresses that no other worker of this run uses."""
-    block = 20 + int(worker_id.removeprefix("gw") or 0) if worker_id != "master" else 19
-    return (f"127.0.{block + 20 * high}.{low}" for high, low in itertools.product(range(10), range(1, 255)))
+def _addresses() -> Iterator[str]:
+    """Addresses that no other test process of this machine uses: each has a block of its own, by its process id."""
+    high, low = divmod(os.getpid(), 250)
+    return (f"127.{1 + high % 250}.{1 + low}.{last}" for last in range(1, 255))
 
 
 @pytest.fixture
@@ -56,6 +56,11 @@ def another_address(_addresses: Iterator[str]) -> str:
     return next(_addresses)
 
 
+def serial_of(address: str) -> str:
+    """Return a serial number that only the camera at this address has: discovery sees those of other processes too."""
+    return f"T-{int(IPv4Address(address)):08X}"
+
+
 @pytest.fixture
 def pattern() -> CheckedPattern:
     return CheckedPattern(640, 480)
@@ -64,7 +69,7 @@ def pattern() -> CheckedPattern:
 @pytest.fixture
 def gige(address: str, pattern: CheckedPattern) -> Iterator[GigeCamera]:
     """A small camera in this process."""
-    with GigeCamera(pattern, address, serial=f"T-{address}", limits=SensorLimits(640, 480)) as camera:
+    with GigeCamera(pattern, address, serial=serial_of(address), limits=SensorLimits(640, 480)) as camera:
         yield camera
 
 

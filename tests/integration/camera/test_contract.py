@@ -15,7 +15,7 @@ from slabcell_drivers.camera.settings import CameraSettings
 from slabcell_drivers.gentl import ProducerBuildError, build
 from slabcell_drivers.simulation.gige import GigeCamera, SensorLimits
 
-from .conftest import need
+from .conftest import need, serial_of
 
 pytestmark = pytest.mark.integration
 
@@ -53,8 +53,7 @@ def through_harvesters(address: str) -> Camera:
 
 @pytest.fixture
 def serial(address: str) -> str:
-    """A number of its own: discovery sees the cameras of other workers too, and takes two of one name for one."""
-    return f"T-{address}"
+    return serial_of(address)
 
 
 @pytest.fixture(params=[through_aravis, through_harvesters], ids=["aravis", "harvesters"])

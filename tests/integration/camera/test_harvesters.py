@@ -23,7 +23,7 @@ from slabcell_drivers.camera.settings import CameraSettings
 from slabcell_drivers.gentl import ProducerBuildError, build
 from slabcell_drivers.simulation.gige import CheckedPattern, GigeCamera, SensorLimits
 
-from .conftest import need
+from .conftest import need, serial_of
 
 pytestmark = pytest.mark.integration
 
@@ -79,8 +79,8 @@ async def test_triggers_give_frames_in_order_from_an_independent_producer(tlsimu
 @pytest.mark.parametrize("pixel_format", ["Mono12", "Mono10p"])
 async def test_deep_pixels_come_at_full_scale(producer: Path, address: str, pixel_format: str) -> None:
     grey = np.full((480, 640), 0x8FC0, np.uint16)
-    with GigeCamera(lambda _: grey, address, serial=f"D-{address}", limits=SensorLimits(640, 480)):
-        async with opened(f"D-{address}", producer, replace(PLAIN, pixel_format=pixel_format)) as camera:
+    with GigeCamera(lambda _: grey, address, serial=serial_of(address), limits=SensorLimits(640, 480)):
+        async with opened(serial_of(address), producer, replace(PLAIN, pixel_format=pixel_format)) as camera:
             frame = await camera.snap(5.0)
     assert np.array_equal(frame.pixels, grey)
 
@@ -161,9 +161,9 @@ async def test_our_own_producer_streams_over_gige_vision_and_takes_a_bad_frame_a
 async def test_a_camera_that_went_comes_back_by_itself_through_our_own_producer(
     producer: Path, address: str, program: Callable[..., object]
 ) -> None:
-    options = ("--address", address, "--serial", f"P-{address}", "--width", "640", "--height", "480")
+    options = ("--address", address, "--serial", serial_of(address), "--width", "640", "--height", "480")
     running = program(*options)
-    async with opened(f"P-{address}", producer, PLAIN) as camera:
+    async with opened(serial_of(address), producer, PLAIN) as camera:
         await camera.snap(5.0)
         running.signal(signal.SIGKILL)
         async with asyncio.timeout(10.0):

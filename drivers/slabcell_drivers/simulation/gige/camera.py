@@ -28,6 +28,8 @@ __all__ = ["GigeCamera", "GigeCameraError"]
 LOOPBACK: Final = IPv4Network("127.0.0.0/8")
 _BROADCASTS: Final = ("255.255.255.255", "127.255.255.255")
 _TICK_S: Final = 0.05
+MAX_SERIAL_BYTES: Final = 15
+"""The register has 16, and the last is zero."""
 
 
 class GigeCameraError(Exception):
@@ -51,6 +53,8 @@ class GigeCamera:
         place = IPv4Address(address)
         if place not in LOOPBACK:
             raise GigeCameraError(f"{address} is not a loopback address; a camera in software lives in {LOOPBACK}")
+        if not 0 < len(serial.encode()) <= MAX_SERIAL_BYTES:
+            raise GigeCameraError(f"serial number '{serial}' is refused: it must have 1 to {MAX_SERIAL_BYTES} bytes")
         mac = b"\x02" + hashlib.blake2b(serial.encode(), digest_size=5).digest()  # 02: locally administered
         device = Device(vendor, model, serial, place, mac, version="1.0")
         self.faults = Faults(seed)

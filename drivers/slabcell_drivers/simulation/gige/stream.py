@@ -49,6 +49,8 @@ class Streamer:
         self._running = False
         self._closing = False
         self._triggered = False
+        self._exposing = False
+        self._acquisition = 0
         self._block = 1
         self._number = 0
         self._kept: deque[FramePackets] = deque()
@@ -66,6 +68,7 @@ class Streamer:
         """Begin an acquisition: block ids count from 1."""
         with self._wake:
             self._running, self._triggered, self._block = True, False, 1
+            self._acquisition += 1  # a frame that is being exposed belongs to the one before, and is not sent
             self._wake.notify()
 
     def stop(self) -> None:
@@ -77,7 +80,7 @@ class Streamer:
     def trigger(self) -> None:
         """Take one frame; a trigger that comes while one is being exposed is ignored, as cameras do."""
         with self._wake:
-            if not self._running or self._triggered:
+            if not self._running or self._triggered or self._exposing:
                 self.counts.triggers_ignored += 1
                 return
             self.counts.triggers += 1
@@ -127,13 +130,15 @@ class Streamer:
                     self._wake.wait()
                 if self._closing:
                     return
+                acquisition = self._acquisition
+                self._exposing, self._triggered = self._triggered, False
             settings = self._settings()
             began_s = time.monotonic()
             if not settings.triggered:
                 due_s = max(due_s + 1 / settings.frame_rate_hz, began_s)
                 if not self._wait_until(due_s):
                     continue
-            self._frame(settings)
+            self._frame(settings, acquisition)
             if settings.single:
                 with self._wake:
                     self._running = False
@@ -151,16 +156,18 @@ class Streamer:
                 self._wake.wait(left)
         return False
 
-    def _frame(self, settings: StreamSettings) -> None:
+    def _frame(self, settings: StreamSettings, acquisition: int) -> None:
         timestamp_ns = time.monotonic_ns()
         time.sleep(settings.exposure_us / 1e6)
         self._number += 1
         data = self._sensor.expose(self._number, settings)
         with self._wake:
             # Ready for the next trigger before the first packet leaves: who has the whole frame may trigger at once.
-            self._triggered = False
-        block = self._faults.take_next_block() or self._block
-        self._block = next_block(block)
+            self._exposing = False
+            if acquisition != self._acquisition:
+                return
+            block = self._faults.take_next_block() or self._block
+            self._block = next_block(block)
         fault = self._faults.begin_frame()
         if self._faults.late_s and not self._wait_until(time.monotonic() + self._faults.late_s):
             return
