@@ -273,6 +273,9 @@ class MatchingParameters(TomlTable):
     max_side_difference_mm: Annotated[float, Field(gt=0)] = Field(
         default=3.0, description="difference of sorted side lengths, for method polygon"
     )
+    max_angle_difference_deg: Annotated[float, Field(gt=0, le=180)] = Field(
+        default=6.0, description="difference of sorted interior angles, for method polygon"
+    )
 
 
 class ForbiddenZone(TomlTable):

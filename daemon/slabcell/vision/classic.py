@@ -1,4 +1,4 @@
-"""How do blobs match slots by the methods of the literature?  Hu moments, and side lengths of simplified polygons.
+"""How do blobs match slots by the methods of the literature?  Hu moments, and sides and angles of simplified polygons.
 
 Both only say which pairs are alike and how much; how a blob lies in its slot is registered afterwards as always, and
 the same limits reject what does not fit.  They are here to compare with: they confuse sizes and mirror images, which
@@ -27,12 +27,13 @@ def classic_distances(blobs: Shapes, slots: Shapes, parameters: MatchingParamete
         distance = np.linalg.norm(first[:, None, :] - second[None, :, :], axis=2) / parameters.max_hu_distance
     else:
         epsilon = parameters.polygon_epsilon_percent
-        ours, theirs = _sides(blobs, epsilon), _sides(slots, epsilon)
+        ours, theirs = _sides_and_angles(blobs, epsilon), _sides_and_angles(slots, epsilon)
+        limits = np.array([[parameters.max_side_difference_mm], [parameters.max_angle_difference_deg]])
         distance = np.full((len(blobs), len(slots)), np.inf)
-        for row, sides in enumerate(ours):
-            for column, others in enumerate(theirs):
-                if len(sides) == len(others):
-                    distance[row, column] = np.max(np.abs(sides - others)) / parameters.max_side_difference_mm
+        for row, polygon in enumerate(ours):
+            for column, other in enumerate(theirs):
+                if polygon.shape == other.shape:
+                    distance[row, column] = np.max(np.abs(polygon - other) / limits)
     return np.where(distance <= 1.0, distance, np.inf)
 
 
@@ -45,13 +46,16 @@ def hu_moments(shapes: Shapes) -> Floats:
     return result
 
 
-def _sides(shapes: Shapes, epsilon_percent: float) -> list[Floats]:
-    """Return the side lengths of the simplified outlines in mm, ascending."""
+def _sides_and_angles(shapes: Shapes, epsilon_percent: float) -> list[Floats]:
+    """Return (2, corners) for each simplified outline: side lengths in mm and interior angles in degrees, ascending."""
     result: list[Floats] = []
     for samples in shapes.samples:
         outline = np.column_stack([samples.real, samples.imag]).astype(np.float32).reshape(-1, 1, 2)
         epsilon = epsilon_percent / 100.0 * cv2.arcLength(outline, closed=True)
         corners = cv2.approxPolyDP(outline, epsilon, closed=True).reshape(-1, 2).astype(np.float64)
-        lengths = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T)
-        result.append(np.sort(lengths))
+        sides = np.roll(corners, -1, axis=0) - corners
+        heading = np.arctan2(sides[:, 1], sides[:, 0])
+        # Outlines run counter-clockwise: what a corner turns by is what it lacks to a straight line.
+        angles = (180.0 - np.rad2deg(heading - np.roll(heading, 1))) % 360.0
+        result.append(np.sort([np.hypot(sides[:, 0], sides[:, 1]), angles], axis=1))
     return result

@@ -85,3 +85,15 @@ def test_the_classic_methods_find_every_shape_nearest_to_itself(method: str):
     distance = classic_distances(describe_polygons(turned), SLOTS, parameters)
     assert np.argmin(distance, axis=1).tolist() == list(range(len(SHAPES)))
     assert np.isfinite(distance.min(axis=1)).all()
+
+
+def test_polygons_of_the_same_sides_are_told_apart_by_their_angles():
+    rectangle = np.array([(0, 0), (80, 0), (80, 40), (0, 40)], float)
+    leaning = np.array(
+        [(0, 0), (80, 0), (80 + 40 * np.sin(0.2), 40 * np.cos(0.2)), (40 * np.sin(0.2), 40 * np.cos(0.2))]
+    )
+    both = describe_polygons([rectangle, leaning])
+    distance = classic_distances(both, both, MatchingParameters(method="polygon"))
+    assert np.isfinite(distance).tolist() == [[True, False], [False, True]]
+    loose = MatchingParameters(method="polygon", max_angle_difference_deg=20.0)
+    assert np.isfinite(classic_distances(both, both, loose)).all()
