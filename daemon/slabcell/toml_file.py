@@ -67,8 +67,12 @@ def _explain(error: ValidationError, model: type[BaseModel]) -> list[str]:
             lines.append(f"unknown key {where!r}: {hint}")
         elif item["type"] == "missing":
             lines.append(f"key {where!r} is missing")
+        elif item["type"] == "value_error":  # of a whole table: the message names the keys
+            text = item["msg"].removeprefix("Value error, ")
+            lines.append(f"[{where}]: {text}" if where else text)
         else:
-            lines.append(f"{where} = {item['input']!r:.60}: {item['msg']}")
+            text = item["msg"].replace(" after validation", "")
+            lines.append(f"{where} = {item['input']!r:.60}: {text}")
     return lines
 
 

@@ -19,7 +19,9 @@ from slabcell.vision.blobs import RawBlob, find_blobs
 from slabcell.vision.describe import describe_blobs
 from slabcell.vision.gates import blur_gate, light_gates, reference_gates, require
 from slabcell.vision.kernel import implementation
+from slabcell.vision.morphology import net_erosion_px
 from slabcell.vision.outcome import Outcome
+from slabcell.vision.outline import Rings
 from slabcell.vision.pixels import Grey, as_grey
 from slabcell.vision.plane import GRID_PX
 from slabcell.vision.prepared import Prepared
@@ -130,7 +132,7 @@ class Locator(Prepared):
             parameters = parameters.model_copy(update={"method": parameters.promptable.coarse})
         min_area_px = parameters.min_area_mm2 / self.plane.mm_per_px**2
         first = self._seen(segment(grey, parameters, image))
-        blobs, left_out = find_blobs(first.mask, min_area_px)
+        blobs, left_out = self._found(first, min_area_px)
         if not blobs or self._plausible(blobs):
             return first, blobs, left_out
         best, best_count = (first, blobs, left_out), 0
@@ -140,12 +142,29 @@ class Locator(Prepared):
             kept = parameters.method if method == "auto" else method
             changed = parameters.model_copy(update={"method": kept, "polarity": polarity})
             other = self._seen(segment(grey, changed, image))
-            found, dropped = find_blobs(other.mask, min_area_px)
+            found, dropped = self._found(other, min_area_px)
             count = self._plausible(found)
             if count > best_count:
                 note = f"{other.description}, tried because no blob of '{first.description}' has the size of a slot"
                 best, best_count = (replace(other, description=note), found, dropped), count
         return best
+
+    def _found(self, segmentation: Segmentation, min_area_px: float) -> tuple[list[RawBlob], int]:
+        """Return the blobs of a mask, and how many were left out.
+
+        Outlines are put back by what the recipe's steps have eroded, so that blobs may be parted by eroding them.
+        """
+        blobs, left_out = find_blobs(segmentation.mask, min_area_px)
+        eroded = net_erosion_px(self.recipe.segmentation.morphology)
+        if not blobs or eroded == 0.0:
+            return blobs, left_out
+        rings = Rings.of([blob.polygon for blob in blobs]).counter_clockwise()
+        grown = rings.offset_outward(eroded)
+        ends = zip(rings.starts[:-1], rings.starts[1:], np.abs(grown.moments[0] - rings.moments[0]), strict=True)
+        return [
+            replace(blob, polygon=grown.points[begin:end], area_px=blob.area_px + np.sign(eroded) * float(strip))
+            for blob, (begin, end, strip) in zip(blobs, ends, strict=True)
+        ], left_out
 
     def _seen(self, segmentation: Segmentation) -> Segmentation:
         """Return the segmentation without what lies where the picture sees no table."""

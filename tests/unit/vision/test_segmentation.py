@@ -1,10 +1,14 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from slabcell.recipe import MorphologyStep, SegmentationParameters
+from slabcell.recipe import MatchingParameters, MorphologyStep, SegmentationParameters
+from slabcell.vision import locate, morphology
+from slabcell.vision.morphology import apply_morphology, net_erosion_px
 from slabcell.vision.segmentation import segment
 
-from .pictures import calibration, recipe, render, scatter
+from .pictures import KITE, RECTANGLE, calibration, moved, recipe, render, scatter
 
 pytestmark = pytest.mark.unit
 
@@ -104,3 +108,34 @@ def test_morphology_closes_cracks_and_removes_specks():
 def test_parameters_that_contradict_each_other_are_refused(parameters: dict[str, object], message: str):
     with pytest.raises(ValueError, match=message):
         SegmentationParameters.model_validate(parameters)
+
+
+@pytest.mark.parametrize("operation", ["erode", "dilate", "open", "close"])
+def test_large_neighbourhoods_do_the_same_as_small_ones_whatever_the_way(operation: str, monkeypatch):
+    step = MorphologyStep.model_validate({"operation": operation, "size_px": 21})
+    fast = apply_morphology(TRUTH.astype(np.uint8) * 255, [step]) > 0
+    monkeypatch.setattr(morphology, "LARGE_PX", 100)
+    plain = apply_morphology(TRUTH.astype(np.uint8) * 255, [step]) > 0
+    assert not np.array_equal(plain, TRUTH)
+    # OpenCV's discs of pixels are a little larger than round: half a pixel along the outlines.
+    assert np.count_nonzero(fast & plain) / np.count_nonzero(fast | plain) > 0.98
+
+
+def test_an_eroded_outline_is_put_back_before_it_is_compared():
+    first, second = moved(RECTANGLE, -90, -20), moved(KITE, 10, -15)
+    bridge = [(-15.0, -1.0), (25.0, -1.0), (25.0, 1.5), (-15.0, 1.5)]
+    picture = render(CAMERA, [first, second, np.array(bridge)])
+    product = replace(recipe([RECTANGLE, KITE]), matching=MatchingParameters(split_touching=False))
+    assert locate(picture, CAMERA, product).parts == ()
+    eroded = SegmentationParameters(morphology=[MorphologyStep(operation="erode", size_px=11)])
+    result = locate(picture, CAMERA, replace(product, segmentation=eroded))
+    assert [part.slot for part in result.parts] == [0, 1]
+    assert net_erosion_px(eroded.morphology) == 5.0
+
+
+def test_a_colour_picture_is_clustered_as_its_pixels_would_be_one_by_one():
+    random = np.random.default_rng(5)
+    colours = np.where(TRUTH[:, :, None], np.array([40, 60, 190]), np.array([70, 110, 70]))
+    picture = np.clip(colours + random.normal(0, 6, colours.shape), 0, 255).astype(np.uint8)
+    found = segment(picture[:, :, 1], SegmentationParameters(method="kmeans", classes=2), picture)
+    assert agreement(found.mask) > 0.995
