@@ -316,12 +316,19 @@ class Cell:
                 self._log.warning("request refused", number=int(fault), type=request.type.name)
                 return self._to_answer(refusal(fault), request)
             before = self._cycles.present
-            answer = self._to_answer(await self._reply(request), request)
+            with structlog.contextvars.bound_contextvars(**self._about(request)):
+                answer = self._to_answer(await self._reply(request), request)
             self._cycles.settle(request, answer, before=before)
             self._conversation.remember(request, answer)
             return answer
         finally:
             self._turn.release()
+
+    def _about(self, request: Request) -> dict[str, int]:
+        """Return what every line that is logged while a request is served is about."""
+        job, cycle, result = self.job, self._cycles.present, request.ack_result_id
+        about = {"job": job.job_id if job else 0, "cycle": cycle.cycle_id if cycle else 0, "result": result}
+        return {name: number for name, number in about.items() if number}
 
     async def _reply(self, request: Request) -> Reply:
         try:

@@ -133,11 +133,13 @@ class Execution:
         written = await self._desk.write_cycle(request, job, plan.pairs)
         cycle.job_id = self._desk.job.job_id if self._desk.job else 0
         cycle.times_ms["ledger"] = (self._clock() - began_s) * 1000
+        structlog.contextvars.bind_contextvars(job=cycle.job_id)
         cycle.offers = tuple(written)
         if not written:
             await self._machine.fire(CellEvent.FINISH, "nothing to offer")
             return self._nothing_left(cycle)
         cycle.cycle_id = written[0].cycle_id
+        structlog.contextvars.bind_contextvars(cycle=cycle.cycle_id)
         self._alarms.cease(*_FINDING_FAULTS)
         await self._machine.fire(CellEvent.OFFER, f"{len(written)} results")
         return Reply(left=len(written))

@@ -6,6 +6,7 @@ import zipfile
 from dataclasses import replace
 
 import pytest
+import structlog
 
 from slabcell.catalogue import Fault
 from slabcell.cell import events
@@ -66,6 +67,19 @@ async def test_an_offer_is_in_the_ledger_before_the_robot_hears_of_it(bench):
     for _ in range(3):
         await bench.robot.lay((await bench.robot.next()).offer.result_id)
     assert seen == [("offered",)] * 3
+
+
+async def test_a_line_of_the_log_names_the_job_the_cycle_and_the_result_that_it_is_about(bench):
+    with structlog.testing.capture_logs(processors=[structlog.contextvars.merge_contextvars]) as lines:
+        await bench.robot.hello()
+        await bench.robot.trigger()
+        result_id = (await bench.robot.next()).offer.result_id
+        await bench.robot.say(AckState.ACCEPTED, result_id)
+        await bench.robot.say(AckState.ABORTED)
+    offering = next(line for line in lines if line.get("after") == "single_execution.offering")
+    assert (offering["job"], offering["cycle"]) == (1, 1)
+    ready = next(line for line in lines if line.get("cause") == "every result is settled")
+    assert (ready["job"], ready["cycle"], ready["result"]) == (1, 1, result_id)
 
 
 async def test_every_request_is_one_step_of_the_ledger_at_most(bench):
