@@ -18,10 +18,10 @@ from slabcell_drivers.robot.eki.codec import (
     decode_request,
     encode_answer,
     encode_request,
-    printable,
 )
 from slabcell_drivers.robot.eki.schema import ROBOT, VIS, ElementType
 from slabcell_drivers.robot.frame import Frame
+from slabcell_drivers.robot.message import printable
 from slabcell_drivers.robot.protocol import AckState, Answer, Offer, Request, RequestType, RobotStatus
 
 pytestmark = pytest.mark.unit

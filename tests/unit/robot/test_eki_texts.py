@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from slabcell.catalogue import Fault, entry
-from slabcell_drivers.robot.eki.answering import HANDLER_FAILED_CODE
+from slabcell_drivers.robot.answering import HANDLER_FAILED_CODE
 from slabcell_drivers.robot.eki.krl_constants import constants_fold
 from slabcell_drivers.robot.eki.schema import CHANNEL, MAX_TEXT_CHARS
 

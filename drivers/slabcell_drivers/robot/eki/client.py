@@ -10,8 +10,10 @@ from collections.abc import Callable
 
 import structlog
 
-from slabcell_drivers.robot.eki.answering import Answering, notice_dead_peer
-from slabcell_drivers.robot.eki.connection import Connection, EndReason, TelegramHook
+from slabcell_drivers.robot.answering import Answering, notice_dead_peer
+from slabcell_drivers.robot.eki.codec import encode_answer
+from slabcell_drivers.robot.eki.connection import Connection
+from slabcell_drivers.robot.link_events import EndReason, TelegramHook
 from slabcell_drivers.robot.protocol import Handler, LinkState
 
 __all__ = ["EkiClient"]
@@ -58,7 +60,7 @@ class EkiClient:
             raise RuntimeError("the EKI client is already started")
         self._stopping.clear()
         self._set_state(LinkState.LISTENING)
-        self._task = asyncio.get_running_loop().create_task(self._keep_connected(Answering(handler)))
+        self._task = asyncio.get_running_loop().create_task(self._keep_connected(Answering(handler, encode_answer)))
 
     async def stop(self) -> None:
         """Close the connection.  A request under way is finished first.  May be called twice."""

@@ -33,6 +33,7 @@ from slabcell_drivers.robot.eki.schema import (
     Telegram,
 )
 from slabcell_drivers.robot.frame import Frame
+from slabcell_drivers.robot.message import printable
 from slabcell_drivers.robot.protocol import AckState, Answer, Offer, Request, RequestType, RobotStatus
 
 __all__ = [
@@ -44,7 +45,6 @@ __all__ = [
     "decode_request",
     "encode_answer",
     "encode_request",
-    "printable",
 ]
 
 CHECK_NODE = "Check"
@@ -183,12 +183,6 @@ def decode_answer(telegram: bytes) -> Answer:
         offer=offer,
         message="" if text == EMPTY_TEXT else text,
     )
-
-
-def printable(text: str) -> str:
-    """Return the text as a SmartPAD can show it: one line of at most MAX_TEXT_CHARS characters of ASCII."""
-    plain = text.encode("ascii", "replace").decode("ascii")
-    return " ".join("".join(sign if sign.isprintable() else " " for sign in plain).split())[:MAX_TEXT_CHARS].rstrip()
 
 
 # ------------------------------------------------------------------------------------------------------------- writing

@@ -8,7 +8,6 @@ means: a repeated request is handed on like the first.
 import asyncio
 import time
 from collections.abc import Awaitable, Callable
-from enum import StrEnum
 
 import structlog
 
@@ -18,13 +17,14 @@ from slabcell_drivers.robot.eki.codec import (
     TelegramError,
     decode_request,
     encode_answer,
-    printable,
 )
 from slabcell_drivers.robot.eki.framing import Framer, FramingError
 from slabcell_drivers.robot.eki.schema import ROBOT
+from slabcell_drivers.robot.link_events import Direction, EndReason, TelegramHook
+from slabcell_drivers.robot.message import printable
 from slabcell_drivers.robot.protocol import Answer, Request, RequestType, ResultCode
 
-__all__ = ["Connection", "Direction", "EndReason", "TelegramHook"]
+__all__ = ["Connection"]
 
 MAX_QUEUED_REQUESTS = 8
 MAX_BAD_IN_A_ROW = 16
@@ -32,31 +32,6 @@ READ_BYTES = 16 * 1024
 WRITE_TIMEOUT_S = 2.0
 
 _log = structlog.get_logger(__name__)
-
-
-class Direction(StrEnum):
-    """Which way a telegram went, seen from the cell."""
-
-    RECEIVED = "received"
-    SENT = "sent"
-
-
-TelegramHook = Callable[[Direction, bytes, float], None]
-"""Sees every telegram: direction, bytes, and the monotonic clock in seconds."""
-
-
-class EndReason(StrEnum):
-    """Why a connection ended."""
-
-    PEER_CLOSED = "the robot closed the connection"
-    BROKEN = "the connection broke"
-    SILENT = "the robot no longer answers"
-    NOT_READING = "the robot does not read its answers"
-    GARBAGE = "too many bytes that are no telegrams"
-    FLOODED = "more requests than a lock-step robot sends"
-    REPLACED = "the robot connected anew"
-    STOPPED = "the link was stopped"
-    FAILED = "an error of the link itself, see the log"
 
 
 class Connection:

@@ -15,8 +15,10 @@ from collections.abc import Callable
 
 import structlog
 
-from slabcell_drivers.robot.eki.answering import HANDLER_FAILED_CODE, Answering, notice_dead_peer
-from slabcell_drivers.robot.eki.connection import Connection, Direction, EndReason, TelegramHook
+from slabcell_drivers.robot.answering import HANDLER_FAILED_CODE, Answering, notice_dead_peer
+from slabcell_drivers.robot.eki.codec import encode_answer
+from slabcell_drivers.robot.eki.connection import Connection
+from slabcell_drivers.robot.link_events import Direction, EndReason, TelegramHook
 from slabcell_drivers.robot.protocol import Handler, LinkState
 
 __all__ = ["HANDLER_FAILED_CODE", "Direction", "EkiServer", "EndReason", "TelegramHook"]
@@ -74,7 +76,7 @@ class EkiServer:
         """Begin to listen.  Raises OSError if the address is taken, RuntimeError if already started."""
         if self._server is not None:
             raise RuntimeError("the EKI server is already started")
-        self._answering = Answering(handler)
+        self._answering = Answering(handler, encode_answer)
         self._server = await asyncio.start_server(self._accept, self._host, self._port, backlog=4)
         self._set_state(LinkState.LISTENING)
 

@@ -17,6 +17,8 @@ of ros-industrial/kuka_experimental and of the rc_visard EKI bridge.
 from dataclasses import dataclass
 from enum import StrEnum
 
+from slabcell_drivers.robot.message import MAX_MESSAGE_CHARS
+
 __all__ = [
     "ATTRIBUTES_OF_FRAME",
     "CHANNEL",
@@ -34,8 +36,8 @@ __all__ = [
 ]
 
 PROTOCOL_VERSION = 1
-MAX_TEXT_CHARS = 80
-"""Longest text in a telegram: the message text of a SmartPAD message holds no more (KrlMsg_T.Msg_txt)."""
+MAX_TEXT_CHARS = MAX_MESSAGE_CHARS
+"""Longest text in a telegram."""
 EMPTY_TEXT = "-"
 """Stands for "no text": EKI's behaviour with a string of no characters is not documented."""
 HEARTBEAT_ROOT = "VisHb"

@@ -7,10 +7,11 @@ ledger; its answer is dropped, and only then the next connection's request is ha
 import asyncio
 import dataclasses
 import socket
+from collections.abc import Callable
 
 import structlog
 
-from slabcell_drivers.robot.eki.codec import TelegramError, encode_answer
+from slabcell_drivers.robot.message import printable
 from slabcell_drivers.robot.protocol import Answer, Handler, Request
 
 __all__ = ["HANDLER_FAILED_CODE", "Answering", "notice_dead_peer"]
@@ -23,10 +24,14 @@ _log = structlog.get_logger(__name__)
 
 
 class Answering:
-    """Asks the handler, one request after the other over all connections of a link."""
+    """Asks the handler, one request after the other over all connections of a link.
 
-    def __init__(self, handler: Handler) -> None:
+    ``encode`` writes an answer as the link does, and raises ValueError for one that cannot be sent.
+    """
+
+    def __init__(self, handler: Handler, encode: Callable[[Answer], object]) -> None:
         self._handler = handler
+        self._encode = encode
         self._turn = asyncio.Lock()
         self._tasks: set[asyncio.Task[Answer]] = set()
 
@@ -45,13 +50,14 @@ class Answering:
         async with self._turn:
             try:
                 answer = await self._handler(request)
-                encode_answer(answer)
-            except TelegramError as error:
-                _log.exception("eki.answer_unsendable", request=request.type.name)
-                return _failure(request, str(error))
             except Exception:  # noqa: BLE001 - the robot must get an answer, whatever the cell's fault is
-                _log.exception("eki.handler_failed", request=request.type.name, sequence=request.sequence)
+                _log.exception("robot.handler_failed", request=request.type.name, sequence=request.sequence)
                 return _failure(request, HANDLER_FAILED_TEXT)
+            try:
+                self._encode(answer)
+            except ValueError as error:
+                _log.exception("robot.answer_unsendable", request=request.type.name)
+                return _failure(request, printable(str(error)))
         return dataclasses.replace(answer, acknowledges=request.sequence)
 
 
