@@ -1,12 +1,15 @@
 """How do motions, spline blocks and triggers become operations?"""
 
-from slabcell_drivers.krc.code import Activation, Pause
+from functools import partial
+
+from slabcell_drivers.krc.cells import Trait
+from slabcell_drivers.krc.code import Activation, Function, Pause
 from slabcell_drivers.krc.emitter import StatementEmitter
 from slabcell_drivers.krc.messages import KrlError, RunMessage
-from slabcell_drivers.krc.motion_orders import MoveOrder, TriggerOrder
-from slabcell_drivers.krc.syntax import Expr, Index, Member, Motion, Name, Spline, Trigger
+from slabcell_drivers.krc.motion_orders import MoveOrder, PathOrder, TriggerOrder
+from slabcell_drivers.krc.syntax import Expr, Index, Member, Motion, Name, Spline, SplineCondition, Trigger
 
-__all__ = ["compile_motion", "compile_spline", "compile_trigger"]
+__all__ = ["compile_motion", "compile_path_order", "compile_spline", "compile_trigger"]
 
 _NO_ROOM = Pause.MOTION
 
@@ -102,3 +105,33 @@ def compile_trigger(compiler: StatementEmitter, node: Trigger) -> None:
         )
 
     compiler.emit_synchronized(arm)
+
+
+def _is_true(condition: Function, a: Activation) -> bool:
+    return condition(a) is True
+
+
+def compile_path_order(compiler: StatementEmitter, node: SplineCondition) -> None:
+    """Emit TIME_BLOCK, CONST_VEL or STOP WHEN PATH: what is ordered of the path of the block, or of the next motion."""
+    value = compiler.expr(node.value)[0] if node.value is not None else None
+    compiler.traits.clear()
+    condition = compiler.condition(node.condition) if node.condition is not None else None
+    uses_time = Trait.TIME in compiler.traits
+    compiler.traits.clear()  # what the condition looks at is looked at in the main run
+    runner = compiler.interpreter.motion
+    where = f"{compiler.code.file} line {node.place.line}"
+
+    def order(a: Activation) -> None:
+        runner.add_path_order(
+            PathOrder(
+                kind=node.kind,
+                verb=node.verb,
+                value=0.0 if value is None else float(value(a)),
+                on_start=node.on_start,
+                where=where,
+                holds=None if condition is None else partial(_is_true, condition, a),
+                uses_time=uses_time,
+            )
+        )
+
+    compiler.emit(order)

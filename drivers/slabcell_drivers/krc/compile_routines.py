@@ -6,7 +6,7 @@ from slabcell_drivers.krc.cells import Trait
 from slabcell_drivers.krc.code import Activation, Code, Function, Pause
 from slabcell_drivers.krc.compile_blocks import BlockCompiler
 from slabcell_drivers.krc.compile_expressions import describe
-from slabcell_drivers.krc.compile_motion import compile_motion, compile_spline, compile_trigger
+from slabcell_drivers.krc.compile_motion import compile_motion, compile_path_order, compile_spline, compile_trigger
 from slabcell_drivers.krc.jumps import failing, jump_to
 from slabcell_drivers.krc.machine import Machine
 from slabcell_drivers.krc.messages import KrlError, RunMessage
@@ -213,7 +213,9 @@ class RoutineCompiler(BlockCompiler):
                 self._analog(statement)
             case Asynchronous(verb=verb):
                 self.emit(failing(RunMessage.NOT_SUPPORTED, f"{verb}: this robot has no external axes"))
-            case SplineCondition() | Signal() | Struct() | EnumDecl() | External() | Import() | Channel():
+            case SplineCondition():
+                compile_path_order(self, statement)
+            case Signal() | Struct() | EnumDecl() | External() | Import() | Channel():
                 pass
 
     def action(self, statement: Statement) -> list[int]:

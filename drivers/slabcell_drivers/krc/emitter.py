@@ -4,11 +4,11 @@ from abc import abstractmethod
 from collections.abc import Sequence
 
 from slabcell_drivers.krc.cells import Trait
-from slabcell_drivers.krc.code import Code, Operation
+from slabcell_drivers.krc.code import Code, Function, Operation
 from slabcell_drivers.krc.compile_expressions import ExpressionCompiler
 from slabcell_drivers.krc.machine import Machine
 from slabcell_drivers.krc.names import ModuleNames
-from slabcell_drivers.krc.syntax import Statement
+from slabcell_drivers.krc.syntax import Expr, Statement
 from slabcell_drivers.krc.values import KrlType
 
 __all__ = ["Emitter", "StatementEmitter"]
@@ -58,6 +58,10 @@ class StatementEmitter(Emitter):
     @abstractmethod
     def block(self, statements: Sequence[Statement]) -> None:
         """Compile statements in their order."""
+
+    @abstractmethod
+    def condition(self, node: Expr) -> Function:
+        """Return a condition that is looked at beside the program."""
 
     @abstractmethod
     def action(self, statement: Statement) -> list[int]:

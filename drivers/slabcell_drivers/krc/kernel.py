@@ -177,7 +177,7 @@ class Kernel:
             return False
         if self._network_is_due and self.eki.is_open:
             return True
-        if pause is Pause.CONDITION or self._operator_is_due:
+        if pause is Pause.CONDITION or self._operator_is_due or self.motion.waits_outside:
             return not (self._events or self.interpreter.interrupts.waits_for_time())
         return False
 

@@ -1,11 +1,12 @@
 """What does a program order of the arm?  Motions with their points evaluated, and triggers on their way."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from slabcell_drivers.krc.code import Activation
 from slabcell_drivers.krc.values import Value
 
-__all__ = ["MoveOrder", "TriggerOrder"]
+__all__ = ["MoveOrder", "PathOrder", "TriggerOrder"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,3 +39,16 @@ class TriggerOrder:
     priority: int
     activation: Activation
     label: list[int]
+
+
+@dataclass(frozen=True, slots=True)
+class PathOrder:
+    """TIME_BLOCK, CONST_VEL or STOP WHEN PATH; ``value`` is a percentage, a time or millimetres along the path."""
+
+    kind: str
+    verb: str
+    value: float
+    on_start: bool
+    where: str
+    holds: Callable[[], bool] | None = None
+    uses_time: bool = False

@@ -2,7 +2,8 @@
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -20,7 +21,6 @@ from slabcell_drivers.krc.motion import (
 from slabcell_drivers.krc.motion_blend import Approximation, blend
 from slabcell_drivers.krc.motion_joint import plan_lin_joint
 from slabcell_drivers.krc.motion_orders import MoveOrder, TriggerOrder
-from slabcell_drivers.krc.motion_spline import SegmentKind, SplineSegment, plan_spline
 from slabcell_drivers.krc.operators import FRAME_FIELDS, frame_of
 from slabcell_drivers.krc.values import EnumConstant, StructValue, Value, text_of
 from slabcell_drivers.robot.arm import ArmError, ArmModel, Axes
@@ -41,6 +41,8 @@ class Planned:
     trajectory: Trajectory
     tool: Frame
     base: Frame
+    remarks: tuple[tuple[int, str], ...] = ()
+    """Number and text of what the controller notes about it."""
 
 
 class MotionVariables(Protocol):
@@ -77,14 +79,15 @@ class MotionPlanner:
     @property
     def tool_or_null(self) -> Frame:
         """$TOOL, the flange if it is not set."""
-        return self._frame("$TOOL", needed=False)
+        return self.frame("$TOOL", needed=False)
 
     @property
     def base_or_null(self) -> Frame:
         """$BASE, the root if it is not set."""
-        return self._frame("$BASE", needed=False)
+        return self.frame("$BASE", needed=False)
 
-    def _frame(self, name: str, *, needed: bool) -> Frame:
+    def frame(self, name: str, *, needed: bool) -> Frame:
+        """Return $TOOL or $BASE.  Raises KrlError if it is needed and was never set."""
         value = self._variables.read(name)
         if isinstance(value, StructValue) and value.fields:
             return frame_of(value)
@@ -94,7 +97,8 @@ class MotionPlanner:
             raise KrlError(RunMessage.VALUE_INVALID, f"{name} value invalid: set it with BAS before the first motion")
         return Frame()
 
-    def _percent(self, name: str, *, first_only: bool) -> float:
+    def percent(self, name: str, *, first_only: bool) -> float:
+        """Return the least of $VEL_AXIS or $ACC_AXIS, or its first value.  Raises KrlError if one was never set."""
         array = self._variables.read(name)
         values: list[float] = []
         for axis in (1,) if first_only else range(1, 7):
@@ -105,7 +109,8 @@ class MotionPlanner:
             values.append(float(value))
         return min(values)
 
-    def _limits(self) -> PathLimits:
+    def limits(self) -> PathLimits:
+        """Return $VEL and $ACC.  Raises KrlError if they were never set."""
         speeds, accelerations = self._variables.read("$VEL"), self._variables.read("$ACC")
 
         def member(structure: Value, name: str, shown: str) -> float:
@@ -128,27 +133,34 @@ class MotionPlanner:
         """Return the plan of a motion that begins at ``start``.  Raises KrlError with the controller's message."""
         kind, _, relative = order.kind.partition("_")
         if kind not in _POINT_TO_POINT:
-            self._check_first(order.kind)
+            self.check_first(order.kind)
         target = order.points[-1]
         if not isinstance(target, StructValue) or not target.fields:
             raise KrlError(RunMessage.VALUE_INVALID, f"{order.kind}: {text_of(target)} is no position")
         is_axes = any(name in target.fields for name in AXIS_FIELDS)
         needed = not is_axes
-        tool, base = self._frame("$TOOL", needed=needed), self._frame("$BASE", needed=needed)
-        try:
+        tool, base = self.frame("$TOOL", needed=needed), self.frame("$BASE", needed=needed)
+        with self.controller_errors():
             if kind in _POINT_TO_POINT:
                 trajectory = self._plan_ptp(order, target, start, tool, base, relative=bool(relative))
             else:
                 trajectory = self._plan_path(order, kind, start, tool, base, relative=bool(relative))
+        self.needs_axis_motion = False
+        return Planned(trajectory, tool, base)
+
+    @contextmanager
+    def controller_errors(self) -> Generator[None]:
+        """Turn what the arm cannot do into the message that stops the program."""
+        try:
+            yield
         except MotionError as error:
             raise KrlError(error.number, error.text) from error
         except ArmError as error:
             motion_error = as_motion_error(error)
             raise KrlError(motion_error.number, motion_error.text) from error
-        self.needs_axis_motion = False
-        return Planned(trajectory, tool, base)
 
-    def _check_first(self, kind: str) -> None:
+    def check_first(self, kind: str) -> None:
+        """Refuse this motion if it is the first of a program.  Raises KrlError."""
         if self.needs_axis_motion:
             text = f"{kind}: the first motion after a program is selected has to be a PTP or SPTP"
             raise KrlError(RunMessage.FIRST_MOTION, text)
@@ -161,8 +173,8 @@ class MotionPlanner:
         self, order: MoveOrder, target: StructValue, start: Axes, tool: Frame, base: Frame, *, relative: bool
     ) -> Trajectory:
         first_only = "$VEL_AXIS" in order.settings and order.kind.startswith("S")
-        speed = self._percent("$VEL_AXIS", first_only=first_only)
-        acceleration = self._percent("$ACC_AXIS", first_only="$ACC_AXIS" in order.settings and first_only)
+        speed = self.percent("$VEL_AXIS", first_only=first_only)
+        acceleration = self.percent("$ACC_AXIS", first_only="$ACC_AXIS" in order.settings and first_only)
         return plan_ptp(
             self.arm,
             start,
@@ -230,15 +242,15 @@ class MotionPlanner:
     def _plan_path(
         self, order: MoveOrder, kind: str, start: Axes, tool: Frame, base: Frame, *, relative: bool
     ) -> Trajectory:
-        limits = self._limits()
-        target = self._in_root(order, order.points[-1], start, tool, base, relative=relative)
+        limits = self.limits()
+        target = self.in_root(order, order.points[-1], start, tool, base, relative=relative)
         if kind in _CIRCLES:
             if len(order.points) != 2:
                 raise KrlError(RunMessage.ARGUMENTS, f"{order.kind} needs an auxiliary point and an end point")
             return plan_circ(
                 self.arm,
                 start,
-                self._in_root(order, order.points[0], start, tool, base, relative=relative),
+                self.in_root(order, order.points[0], start, tool, base, relative=relative),
                 target,
                 limits,
                 tool=tool,
@@ -252,9 +264,10 @@ class MotionPlanner:
             target = Frame(target.x_mm, target.y_mm, target.z_mm, now.a_deg, now.b_deg, now.c_deg)
         return plan_lin(self.arm, start, target, limits, tool=tool)
 
-    def _in_root(
+    def in_root(
         self, order: MoveOrder, point: Value, start: Axes, tool: Frame, base: Frame, *, relative: bool
     ) -> Frame:
+        """Return a point of a path in the root frame.  Raises KrlError if it is no position."""
         if not isinstance(point, StructValue) or not point.fields:
             raise KrlError(RunMessage.VALUE_INVALID, f"{order.kind}: {text_of(point)} is no position")
         if any(name in point.fields for name in AXIS_FIELDS):
@@ -293,70 +306,24 @@ class MotionPlanner:
         """Return when in its motion a trigger fires; ``start_s`` to ``end_s`` is the way it refers to."""
         at_start = trigger.on_start or (trigger.kind == "DISTANCE" and trigger.position == 0.0)
         time_s = start_s if at_start else end_s
-        if trigger.kind == "PATH" and trigger.position:
-            time_s = self._time_along(trajectory, time_s, trigger.position)
+        if trigger.kind == "PATH":
+            time_s = self.time_along(trajectory, time_s, trigger.position)
         return max(0.0, time_s + trigger.delay_s)
 
-    def _time_along(self, trajectory: Trajectory, from_s: float, offset_mm: float) -> float:
+    def time_along(self, trajectory: Trajectory, from_s: float, offset_mm: float) -> float:
         """Return when the path is so much longer than at ``from_s``; shorter where the offset is negative."""
+        if not offset_mm:
+            return from_s
         steps = max(1, round(trajectory.duration_s / INTERPOLATION_TICK_S))
         times = [trajectory.duration_s * i / steps for i in range(steps + 1)]
         points = [trajectory.tcp_at(t).position for t in times]
         lengths = [0.0]
         for a, b in itertools.pairwise(points):
             lengths.append(lengths[-1] + math.dist(a, b))
-        wanted = offset_mm + next(
-            (length for t, length in zip(times, lengths, strict=True) if t >= from_s - 1e-9), lengths[-1]
-        )
-        return next((t for t, length in zip(times, lengths, strict=True) if length >= wanted), trajectory.duration_s)
-
-    # --- splines ------------------------------------------------------------------------------------------------
-
-    def plan_spline(self, order: MoveOrder, segments: Sequence[MoveOrder], start: Axes) -> Planned:
-        """Return the plan of a spline block.  The settings of single segments are those of the block here."""
-        tool, base = self._frame("$TOOL", needed=True), self._frame("$BASE", needed=True)
-        try:
-            if order.kind == "PTP_SPLINE":
-                trajectory = self._plan_joint_spline(segments, start, tool, base)
-            else:
-                self._check_first(order.kind)
-                trajectory = self._plan_path_spline(segments, start, tool, base)
-        except MotionError as error:
-            raise KrlError(error.number, error.text) from error
-        except ArmError as error:
-            motion_error = as_motion_error(error)
-            raise KrlError(motion_error.number, motion_error.text) from error
-        self.needs_axis_motion = False
-        return Planned(trajectory, tool, base)
-
-    def _plan_path_spline(self, segments: Sequence[MoveOrder], start: Axes, tool: Frame, base: Frame) -> Trajectory:
-        here = start
-        found: list[SplineSegment] = []
-        for segment in segments:
-            kind, _, relative = segment.kind.partition("_")
-            if kind not in {"SPL", "SLIN", "SCIRC"}:
-                raise KrlError(RunMessage.NOT_SUPPORTED, f"{segment.kind} cannot stand in a SPLINE block")
-            points = [self._in_root(segment, p, here, tool, base, relative=bool(relative)) for p in segment.points]
-            found.append(
-                SplineSegment(
-                    SegmentKind(kind),
-                    points[-1],
-                    auxiliary=points[0] if len(points) > 1 else None,
-                    circular_angle_deg=segment.angle_deg,
-                )
-            )
-            here = self.arm.inverse(points[-1] @ tool.inverse(), near=here)
-        return plan_spline(self.arm, start, found, self._limits(), tool=tool)
-
-    def _plan_joint_spline(self, segments: Sequence[MoveOrder], start: Axes, tool: Frame, base: Frame) -> Trajectory:
-        whole: Trajectory | None = None
-        for segment in segments:
-            target = segment.points[-1]
-            if not segment.kind.startswith("SPTP") or not isinstance(target, StructValue):
-                raise KrlError(RunMessage.NOT_SUPPORTED, f"{segment.kind} cannot stand in a PTP_SPLINE block")
-            here = start if whole is None else whole.end_axes
-            part = self._plan_ptp(segment, target, here, tool, base, relative=segment.kind.endswith("_REL"))
-            whole = part if whole is None else blend(whole, part, Approximation()).trajectory
-        if whole is None:
-            raise KrlError(RunMessage.ARGUMENTS, "a PTP_SPLINE block without points")
-        return whole
+        at = min(int(from_s / trajectory.duration_s * steps), steps - 1) if trajectory.duration_s > 0.0 else 0
+        share = (from_s - times[at]) / (times[at + 1] - times[at]) if times[at + 1] > times[at] else 0.0
+        wanted = lengths[at] + share * (lengths[at + 1] - lengths[at]) + offset_mm
+        for (t0, l0), (t1, l1) in itertools.pairwise(zip(times, lengths, strict=True)):
+            if l0 <= wanted <= l1:
+                return t0 + (t1 - t0) * ((wanted - l0) / (l1 - l0) if l1 > l0 else 0.0)
+        return 0.0 if wanted < 0.0 else trajectory.duration_s

@@ -13,9 +13,11 @@ from dataclasses import dataclass, field
 from slabcell_drivers.krc.cells import Place
 from slabcell_drivers.krc.clock import Clock
 from slabcell_drivers.krc.code import Activation, Pause
-from slabcell_drivers.krc.messages import RunMessage
+from slabcell_drivers.krc.messages import KrlError, RunMessage
 from slabcell_drivers.krc.motion import Trajectory
-from slabcell_drivers.krc.motion_orders import MoveOrder, TriggerOrder
+from slabcell_drivers.krc.motion_block import plan_block, stops_of
+from slabcell_drivers.krc.motion_hold import PathHold, PathStop
+from slabcell_drivers.krc.motion_orders import MoveOrder, PathOrder, TriggerOrder
 from slabcell_drivers.krc.motion_planner import MotionPlanner, Planned
 from slabcell_drivers.krc.values import Value, copy_value
 from slabcell_drivers.robot.arm import Axes
@@ -39,6 +41,7 @@ class Move:
     blend_s: float = 0.0
     elapsed_s: float = 0.0
     triggers: list[tuple[float, TriggerOrder]] = field(default_factory=list[tuple[float, TriggerOrder]])
+    stops: list[PathStop] = field(default_factory=list[PathStop])
 
 
 @dataclass(slots=True)
@@ -82,6 +85,8 @@ class MotionRunner:
         self._spline: list[MoveOrder] | None = None  # the segments of the block that is being read
         self._spline_triggers: list[tuple[int, TriggerOrder]] = []
         self._spline_settings: list[tuple[Place, Value]] = []
+        self._path_orders: list[tuple[int, PathOrder]] = []  # of the block, or of the next motion
+        self._hold_points = PathHold(ramp_s=BRAKE_S, late=self._stopped_late)
         self._held: list[_Held] = []
         self.reports_every_step = False
         self.travelled_s = 0.0
@@ -101,7 +106,12 @@ class MotionRunner:
     @property
     def is_moving(self) -> bool:
         """Tell whether the arm moves now."""
-        return self._active is not None and self._rate > 0.0
+        return self._active is not None and self._rate > 0.0 and not self._hold_points.waits
+
+    @property
+    def waits_outside(self) -> bool:
+        """Tell whether the arm stands on its path until something outside of time lets it go on."""
+        return self._hold_points.waits and not self._hold_points.uses_time
 
     @property
     def active(self) -> Move | None:
@@ -167,17 +177,27 @@ class MotionRunner:
         self._pending.clear()
         self._take(order, planned, triggers)
 
+    def add_path_order(self, order: PathOrder) -> None:
+        """Keep what was ordered of the path of the block that is being read, or of the next motion."""
+        if self._spline is None and order.kind != "STOP":
+            raise KrlError(RunMessage.SYNTAX, f"{order.kind} stands outside of a spline block")
+        self._path_orders.append((len(self._spline or ()), order))
+
     def _take(self, order: MoveOrder, planned: Planned, triggers: list[tuple[TriggerOrder, float, float]]) -> None:
+        for number, text in planned.remarks:
+            self._notify(number, text)
+        path_orders, self._path_orders = self._path_orders, []
         move = Move(order, planned.trajectory, planned.tool, planned.base, bool(order.approximation))
         for trigger, start_s, end_s in triggers:
             move.triggers.append((self.planner.trigger_time_s(move.trajectory, trigger, start_s, end_s), trigger))
         move.triggers.sort(key=lambda item: item[0])
+        move.stops = stops_of(self.planner, move.trajectory, path_orders)
         self._planned = move.trajectory.end_axes
         self._enqueue(move)
 
     def _enqueue(self, move: Move) -> None:
         before = self._queue[-1] if self._queue else self._active
-        if before is not None and before.approximated:
+        if before is not None and before.approximated and not before.stops:
             self._blend(before, move)
         self._queue.append(move)
         if self._active is None:
@@ -198,15 +218,17 @@ class MotionRunner:
         """Begin a spline block: its settings hold for all its segments."""
         self._spline_settings = list(values)
         self._spline = []
+        self._path_orders.clear()
 
     def end_spline(self, order: MoveOrder) -> None:
         """End a spline block: all its segments are one motion.  Raises KrlError."""
         segments, self._spline = self._spline or [], None
         triggers, self._spline_triggers = self._spline_triggers, []
         if not segments:
+            self._path_orders.clear()
             return
         with self.settings(self._spline_settings):
-            planned = self.planner.plan_spline(order, segments, self._planned)
+            planned = plan_block(self.planner, order, segments, self._planned, self._path_orders)
         marks = (0.0, *planned.trajectory.marks_s, planned.trajectory.duration_s)
         last = len(marks) - 2
         self._take(order, planned, [(t, marks[min(i, last)], marks[min(i, last) + 1]) for i, t in triggers])
@@ -222,11 +244,15 @@ class MotionRunner:
             if self._rate == 0.0:
                 self._rate_change = 0.0
         left = seconds * self._rate * self.planner.override
+        if left > 0.0:
+            left = self._hold_points.allowed(self._active.stops, self._active.elapsed_s, left)
         if left <= 0.0:
             return
         self.travelled_s += left
         ended = False
         while left > 1e-12 and (move := self.active) is not None:
+            if ended and move.stops:
+                break  # it begins with the next tick, which looks at its stops
             left, finished = self._step_active(move, left)
             ended = ended or finished
         if ended or self.reports_every_step:
@@ -242,7 +268,7 @@ class MotionRunner:
             self._advance(self._fading, used)
             if self._fading.elapsed_s >= self._fading.trajectory.duration_s:
                 self._fading = None
-        if move.elapsed_s < end - 1e-12:
+        if move.elapsed_s < end - 1e-12 or self._hold_points.blocks(move.stops, move.elapsed_s):
             return 0.0, False
         if passes_on:
             self._fading = move
@@ -256,6 +282,9 @@ class MotionRunner:
         self._active = None
         self._begin_next()
         return left - used, True
+
+    def _stopped_late(self, where: str) -> None:
+        self._notify(RunMessage.CONDITIONAL_STOP, f"Conditional stop in {where} active after a delay")
 
     def _advance(self, move: Move, seconds: float) -> None:
         move.elapsed_s += seconds
@@ -333,6 +362,8 @@ class MotionRunner:
         self._queue.clear()
         self._held.clear()
         self._pending.clear()
+        self._path_orders.clear()
+        self._hold_points.clear()
         self._active = self._fading = None
         self._spline = None
         self._rate, self._rate_change = 1.0, 0.0
