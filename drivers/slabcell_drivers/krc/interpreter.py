@@ -155,6 +155,7 @@ class Interpreter:
                 raise KrlError(RunMessage.NO_RESULT, f"{top.code.name} returns no value")
             top.result.set(value)
         if top.served is not None:
+            self.interrupts.look_again(top.served)
             self._end_of_service()
         else:
             self.interrupts.forget(top)

@@ -99,6 +99,11 @@ class Interrupts:
             best.is_pending = False
         return best
 
+    def look_again(self, entry: InterruptEntry) -> None:
+        """Note at the end of its routine that a condition holds no more: routines set timers back to fire again."""
+        if self._entries.get(entry.number) is entry and entry.was_true and not self._holds(entry):
+            entry.was_true = False
+
     def _holds(self, entry: InterruptEntry) -> bool:
         try:
             return entry.condition(entry.activation) is True

@@ -275,7 +275,7 @@ class MotionRunner:
             self._active = None
             self._begin_next()
             return left - used, True
-        if move.approximated:
+        if move.approximated and duration > 0.0:
             self._notify(RunMessage.APPROXIMATION_NOT_POSSIBLE, "Approximation not possible")
         self._advance(move, 1.0)  # what was to happen behind the end
         self._standing = move.trajectory.end_axes

@@ -68,6 +68,18 @@ def test_a_function_in_a_condition_that_waits_stops_the_program_with_a_message()
     assert "waits" in result.message
 
 
+def test_a_routine_that_sets_its_timer_back_is_called_again_however_short_the_time():
+    body = """INTERRUPT DECL 16 WHEN $TIMER_FLAG[1]==TRUE DO again()
+INTERRUPT ON 16
+$TIMER[1]=-50
+$TIMER_STOP[1]=FALSE
+WAIT SEC 1.0
+"""
+    result, krc = run(body, data="INT n=0", more="DEF again()\nn=n+1\n$TIMER[1]=-5\nEND")
+    assert result.status == "done"
+    assert krc.data("t", "n") > 50
+
+
 def test_a_global_interrupt_cannot_resume():
     body = "GLOBAL INTERRUPT DECL 5 WHEN $FLAG[1] DO isr()\nINTERRUPT ON 5\nsub()"
     result, _ = run(body, more="DEF sub()\n$FLAG[1]=TRUE\nWAIT SEC 1\nEND\nDEF isr()\nBRAKE\nRESUME\nEND")
