@@ -11,7 +11,6 @@ import asyncio
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
 
 import structlog
 
@@ -22,7 +21,6 @@ from slabcell.catalogue import Fault, entry
 from slabcell.cell.alarms import Alarms
 from slabcell.cell.bundle import BundleContext
 from slabcell.cell.bundle_store import BundleWriter
-from slabcell.cell.conversation import Conversation
 from slabcell.cell.cycles import Cycles
 from slabcell.cell.desk import JobDesk
 from slabcell.cell.events import CycleRecord, Event, StateChanged, Subscriber
@@ -34,21 +32,16 @@ from slabcell.cell.looking import Looking
 from slabcell.cell.planning import Planner
 from slabcell.cell.records import Job, JobState, PlacementRecord
 from slabcell.cell.reply import Reply, refusal, to_answer
+from slabcell.cell.serving import Serving
 from slabcell.cell.settings import CellSettings
 from slabcell.cell.states import CellEvent, CellState, Conditions, HeldCause, StateMachine, SuspendedCause
 from slabcell.errors import SlabcellError
 from slabcell.recipe import Recipe
 from slabcell_drivers.camera.protocol import Camera
 from slabcell_drivers.robot.arm import ArmModel
-from slabcell_drivers.robot.protocol import AckState, Answer, Request, RequestType, ResultCode
+from slabcell_drivers.robot.protocol import Answer, Request, ResultCode
 
 __all__ = ["Cell"]
-
-NEEDS_EYES = frozenset({Fault.PART_LOST, Fault.PLACEMENT_UNKNOWN})
-"""Alarms of results that are unknown: nothing is picked until a person has looked."""
-
-_UNDER_WAY = frozenset({AckState.NONE, AckState.ACCEPTED, AckState.GRASPED})
-"""What the robot says of a slab that it is not done with."""
 
 
 class Cell:
@@ -67,13 +60,13 @@ class Cell:
         eyes: Eyes | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        # What is computed with is what a bundle holds, to the last bit: the way arrays lie in memory changes rounding.
-        calibration = calibration_from_document(calibration_to_document(calibration), "the calibration")
+        calibration = _as_kept(calibration)
         self.recipe = recipe
         self.settings = settings
         self.alarms = Alarms(self._emit, clock=clock)
         self._conditions = Conditions(suspended=SuspendedCause.ROBOT_ABSENT)
-        self._calibration = calibration
+        self._calibration: Calibration = calibration
+        self._arm = arm
         self._machine = StateMachine(lambda before, after, cause: self._emit(StateChanged(before, after, cause)))
         self._desk = JobDesk(ledger, recipe, self._emit)
         self._cycles = Cycles(
@@ -98,10 +91,13 @@ class Cell:
             emit=self._emit,
             clock=clock,
         )
-        self._handover = Handover(self._desk, alarms=self.alarms, emit=self._emit)
-        self._conversation = Conversation()
+        self._serving = Serving(
+            *(self._machine, self._desk, self._execution, self._cycles),
+            Handover(self._desk, alarms=self.alarms, emit=self._emit),
+            alarms=self.alarms,
+            conditions=self._conditions,
+        )
         self._turn = asyncio.Lock()
-        self._stepping = False
         self._tasks: set[asyncio.Task[Answer]] = set()
         self._subscribers: list[Subscriber] = []
         self._log = structlog.stdlib.get_logger("slabcell.cell")
@@ -124,7 +120,7 @@ class Cell:
     @property
     def stepping(self) -> bool:
         """Whether the cell halts after the next slab."""
-        return self._stepping
+        return self._serving.stepping
 
     @property
     def job(self) -> Job | None:
@@ -178,7 +174,7 @@ class Cell:
         abandoned = await self._desk.take_up()
         if abandoned is not None:
             self.alarms.come(Fault.RECIPE_CHANGED, abandoned)
-        await self._unresolved()
+        await self._serving.unresolved()
         await self._machine.fire(CellEvent.PREPARE, f"recipe {self.recipe.name}")
 
     async def stop(self) -> None:
@@ -195,16 +191,6 @@ class Cell:
         await asyncio.gather(*self._tasks)
         await self._looking.close()
         await self._cycles.close()
-
-    async def _unresolved(self) -> Fault | None:
-        """Raise the alarms of what a person has to look at; return one of them, or None if nothing is open."""
-        faults: list[Fault] = []
-        for offer in await self._desk.unknown():
-            faults.append(Fault(offer.fault) if offer.fault else Fault.PLACEMENT_UNKNOWN)
-            self.alarms.come(faults[-1], f"result {offer.result_id}, slot {offer.slot}: {offer.reason}")
-        for fault in NEEDS_EYES - set(faults):
-            self.alarms.settle(fault, "every result is resolved")
-        return faults[-1] if faults else None
 
     # A person
 
@@ -231,7 +217,7 @@ class Cell:
         """Take a person's word for a result that is unknown.  Raises LedgerError if it is settled already."""
         async with self._turn:
             await self._desk.resolve(result_id, placed=placed)
-            await self._unresolved()
+            await self._serving.unresolved()
 
     async def verify(self) -> tuple[PlacementRecord, ...]:
         """Measure now how the slabs of the job lie; the arm must be out of view, which the caller sees to.
@@ -250,20 +236,14 @@ class Cell:
     async def halt(self, cause: str) -> None:
         """Offer nothing any more, until `resume`.  What the robot holds it may still lay down."""
         async with self._turn:
-            await self._halt(cause)
+            await self._serving.halt(cause)
             self._cycles.settle()
-
-    async def _halt(self, cause: str) -> None:
-        await self._desk.void(cause)
-        self._cycles.end()
-        await self._machine.fire(CellEvent.HALT, cause)
-        self._stepping = False
 
     async def resume(self, by: str = "a person", *, step: bool = False) -> None:
         """Leave the halted state; with ``step`` for one slab only.  Nothing moves: the robot has to trigger."""
         async with self._turn:
             await self._machine.fire(CellEvent.INITIALIZE, f"resumed by {by}")
-            self._stepping = step
+            self._serving.stepping = step
             await self._machine.fire(CellEvent.PREPARE, f"recipe {self.recipe.name}")
 
     async def clear(self, by: str = "a person") -> None:
@@ -281,7 +261,62 @@ class Cell:
             if self.state is not CellState.READY and not self.state.is_executing:
                 msg = f"the cell is {self.state}: it can go one step when it is halted, ready or in a cycle"
                 raise SlabcellError(msg, number=Fault.NOT_READY)
-            self._stepping = True
+            self._serving.stepping = True
+
+    async def look(self) -> CycleRecord:
+        """Take a picture and see what could be laid; nothing is offered, nothing is written, no state changes.
+
+        The robot waits meanwhile: it is the caller's business to ask only when no robot does.  Raises SlabcellError
+        while a cycle is on its way, and LookError if there is no usable picture.
+        """
+        async with self._turn:
+            if self.state not in {CellState.READY, CellState.HALTED}:
+                msg = f"the cell is {self.state}: a picture is taken on request when it is ready or halted"
+                raise SlabcellError(msg, number=Fault.NOT_READY)
+            return await self._execution.look(self.job)
+
+    async def abandon_job(self, by: str = "a person") -> Job:
+        """Close the open job before it is complete; the next trigger begins a new one.  Raises SlabcellError."""
+        async with self._turn:
+            job = None if self.state.is_executing else await self._desk.abandon(f"abandoned by {by}")
+            if job is None:
+                msg = "a cycle is on its way: halt the cell first" if self.state.is_executing else "no job is open"
+                raise SlabcellError(msg, number=Fault.NOT_READY)
+            await self._serving.unresolved()
+            return job
+
+    async def change(
+        self,
+        *,
+        recipe: Recipe | None = None,
+        calibration: Calibration | None = None,
+        settings: CellSettings | None = None,
+    ) -> None:
+        """Work with another recipe, calibration or settings from the next trigger on.
+
+        Raises SlabcellError while a cycle is on its way and, for a recipe, while a job is open; CalibrationError; and
+        ModelError for a model that the recipe names and that cannot be used.
+        """
+        recipe, settings = recipe or self.recipe, settings or self.settings
+        calibration = _as_kept(calibration or self._calibration)
+        calibration.require_plane()
+        eyes = await asyncio.to_thread(HouseEyes, calibration, recipe)
+        planner = await asyncio.to_thread(Planner, recipe, settings, self._arm)
+        async with self._turn:
+            if self.state not in {CellState.READY, CellState.HALTED}:
+                msg = f"the cell is {self.state}: this changes only when it is ready or halted"
+                raise SlabcellError(msg, number=Fault.NOT_READY)
+            if recipe is not self.recipe:
+                if self.job is not None and self.job.state is JobState.OPEN:
+                    msg = (
+                        f"job {self.job.job_id} is open: a recipe changes only between jobs; finish or abandon it first"
+                    )
+                    raise SlabcellError(msg, number=Fault.NOT_READY)
+                self._desk.change(recipe)
+            self._looking.change(calibration, eyes, planner, settings)
+            self._execution.change(settings)
+            self._cycles.change(BundleContext(recipe, calibration, settings, self._arm))
+            self.recipe, self.settings, self._calibration = recipe, settings, calibration
 
     def robot_link(self, *, connected: bool) -> None:
         """Take notice of the robot's connection.  One that ends without a farewell is an alarm until it is back."""
@@ -307,19 +342,19 @@ class Cell:
         except TimeoutError:
             return self._to_answer(Reply(ResultCode.BUSY, message="Cell is busy. Ask again."), request)
         try:
-            known = self._conversation.recall(request)
+            known = self._serving.conversation.recall(request)
             if known is not None:
                 self._log.info("request repeated", sequence=request.sequence, type=request.type.name)
                 return known
-            fault = self._conversation.refuse(request)
+            fault = self._serving.conversation.refuse(request)
             if fault is not None:
                 self._log.warning("request refused", number=int(fault), type=request.type.name)
                 return self._to_answer(refusal(fault), request)
             before = self._cycles.present
             with structlog.contextvars.bound_contextvars(**self._about(request)):
-                answer = self._to_answer(await self._reply(request), request)
+                answer = self._to_answer(await self._serving.reply(request), request)
             self._cycles.settle(request, answer, before=before)
-            self._conversation.remember(request, answer)
+            self._serving.conversation.remember(request, answer)
             return answer
         finally:
             self._turn.release()
@@ -330,95 +365,11 @@ class Cell:
         about = {"job": job.job_id if job else 0, "cycle": cycle.cycle_id if cycle else 0, "result": result}
         return {name: number for name, number in about.items() if number}
 
-    async def _reply(self, request: Request) -> Reply:
-        try:
-            match request.type:
-                case RequestType.HELLO:
-                    return await self._hello(request)
-                case RequestType.TRIGGER:
-                    return await self._trigger(request)
-                case RequestType.NEXT:
-                    return await self._handover.next(request)
-                case RequestType.ACK:
-                    return await self._acknowledge(request)
-                case RequestType.HEARTBEAT:
-                    return Reply()
-                case RequestType.BYE:
-                    return await self._bye(request)
-        except SlabcellError as error:
-            return await self._fault(Fault(error.number) if error.number else Fault.INTERNAL, str(error))
-        except Exception as error:  # noqa: BLE001 - the robot gets an answer in any case, and the cell stops
-            self._log.exception("request failed", type=request.type.name)
-            return await self._fault(Fault.INTERNAL, f"{type(error).__name__}: {error}")
-
-    async def _fault(self, fault: Fault, detail: str) -> Reply:
-        self.alarms.come(fault, detail)
-        if self.state not in {CellState.ERROR, CellState.PREOPERATIONAL}:
-            self._cycles.end()
-            await self._machine.fire(CellEvent.FAULT, detail)
-        return Reply(fault)
-
     def _to_answer(self, reply: Reply, request: Request) -> Answer:
-        known = self._conversation
+        known = self._serving.conversation
         return to_answer(reply, request, session=known.session, trigger_sequence=known.trigger_sequence)
 
-    # Greeting and leaving
 
-    async def _hello(self, request: Request) -> Reply:
-        if self.state is CellState.PREOPERATIONAL:
-            return Reply(Fault.NOT_READY)
-        session, outcome = await self._desk.greet(request)
-        self._conversation.begin(session, request.sequence)
-        self._conditions.suspended = None
-        self._cycles.end()
-        for fault, detail in outcome.faults:
-            self.alarms.come(fault, detail)
-        if self.state.is_executing:
-            await self._machine.fire(CellEvent.ABANDON, "the robot greeted anew")
-        if outcome.resume is None:
-            return Reply()
-        if self.state is CellState.READY:
-            await self._machine.fire(CellEvent.OFFER, f"result {outcome.resume.result_id} is still in the gripper")
-        return Reply(left=1, offer=outcome.resume)
-
-    async def _bye(self, request: Request) -> Reply:
-        await self._desk.void("the robot program ended", session=request.session)
-        self._cycles.end()
-        if self.state.is_executing:
-            await self._machine.fire(CellEvent.ABANDON, "the robot program ended")
-        self._conditions.suspended = SuspendedCause.ROBOT_ABSENT
-        return Reply()
-
-    # A cycle
-
-    async def _trigger(self, request: Request) -> Reply:
-        if self.state not in {CellState.READY, CellState.OFFERING}:
-            standing = self.alarms.standing
-            return Reply(standing[-1].fault if standing else Fault.NOT_READY)
-        job = await self._desk.job_for(request)
-        if job is not None and job.state is not JobState.OPEN:
-            return Reply(ResultCode.JOB_COMPLETE)
-        await self._handover.drop_unfinished(request)
-        if self.state is CellState.OFFERING:
-            await self._machine.fire(CellEvent.FINISH, "a new picture was asked for")
-        blocking = await self._unresolved()
-        if blocking is not None:
-            self._conditions.held = HeldCause.OPERATOR
-            return Reply(blocking)
-        if request.status.gripper_holds_part:
-            self.alarms.come(Fault.GRIPPER_NOT_EMPTY, "a part is in the gripper when a picture is asked for")
-            return Reply(Fault.GRIPPER_NOT_EMPTY)
-        self.alarms.cease(Fault.GRIPPER_NOT_EMPTY)
-        self._conversation.trigger_sequence = request.sequence
-        return await self._execution.run(request, job)
-
-    async def _acknowledge(self, request: Request) -> Reply:
-        reply = await self._handover.acknowledge(request)
-        settled = reply.code == ResultCode.OK and request.ack_state not in _UNDER_WAY
-        if settled and self._stepping and self.state in {CellState.READY, CellState.OFFERING}:
-            await self._halt("one slab is done: step")
-            return replace(reply, left=0)
-        if reply.left == 0 and self.state is CellState.OFFERING and not await self._desk.open_offers():
-            self._cycles.end()
-            await self._machine.fire(CellEvent.FINISH, "every result is settled")
-        return reply
+def _as_kept(calibration: Calibration) -> Calibration:
+    """Return a calibration as a bundle holds it, to the last bit: the way arrays lie in memory changes rounding."""
+    return calibration_from_document(calibration_to_document(calibration), "the calibration")

@@ -46,6 +46,11 @@ class Cycles:
             bundles.failed = failed
             bundles.kept = lambda cycle, file: emit(CycleKept(cycle, file))
 
+    def change(self, context: BundleContext) -> None:
+        """Keep the cycles to come with another recipe, calibration or settings."""
+        if self._context is not None:
+            self._context = context
+
     def begin(self, cycle: CycleRecord) -> None:
         """Make this the present cycle; one before it ends."""
         self.end()

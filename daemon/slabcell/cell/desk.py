@@ -66,6 +66,19 @@ class JobDesk:
         """How many slots a job has."""
         return len(self._recipe.template.slots)
 
+    def change(self, recipe: Recipe) -> None:
+        """Have the jobs to come be of another recipe; the finished one is of no concern any more."""
+        self._recipe = recipe
+        self.job = self.finished = self._known = None
+
+    async def abandon(self, reason: str) -> Job | None:
+        """Close the open job before it is complete; return it, or None if there is none."""
+        job = self.job
+        if job is None or job.state is not JobState.OPEN:
+            return None
+        await self._abandon(job, reason)
+        return job
+
     async def take_up(self) -> str | None:
         """Take up the job that was open when the cell stopped.
 

@@ -62,6 +62,24 @@ class Execution:
         self._clock = clock
         self._log = structlog.stdlib.get_logger("slabcell.cell")
 
+    def change(self, settings: CellSettings) -> None:
+        """Go by other settings from the next trigger on."""
+        self._settings = settings
+
+    async def look(self, job: Job | None) -> CycleRecord:
+        """Take a picture and see what could be laid, because a person wants to know.  Nothing is offered or written.
+
+        Returns a record that is no cycle of the cell.  Raises `LookError` and LedgerError.
+        """
+        began_s = self._clock()
+        cycle = CycleRecord(0, job.job_id if job else 0, 0, 0)
+        frame = await self._looking.acquire(cycle)
+        slots = await self._desk.slots(self._settings.attempts_per_slot)
+        cycle.free_slots, cycle.laid_slots = slots.free, slots.laid
+        await self._looking.locate(frame, slots, cycle)
+        cycle.times_ms["total"] = (self._clock() - began_s) * 1000
+        return cycle
+
     async def run(self, request: Request, job: Job | None) -> Reply:
         """Take a picture and do what it allows; without a job one begins.  May raise LedgerError."""
         began_s = self._clock()

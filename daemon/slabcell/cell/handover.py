@@ -30,9 +30,12 @@ class Handover:
         self._alarms = alarms
         self._emit = emit
 
-    async def next(self, request: Request) -> Reply:
-        """Return the result that the robot shall act on: the same one until it is accepted."""
-        waiting = await self._desk.open_offers()
+    async def next(self, request: Request, *, begun_only: bool = False) -> Reply:
+        """Return the result that the robot shall act on: the same one until it is accepted.
+
+        With ``begun_only`` nothing is offered that was not offered before.
+        """
+        waiting = [item for item in await self._desk.open_offers() if not begun_only or item.state is not _O.PLANNED]
         if not waiting:
             return Reply()
         offer = next((item for item in waiting if item.state is not _O.PLANNED), waiting[0])

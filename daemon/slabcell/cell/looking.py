@@ -79,6 +79,13 @@ class Looking:
         self._clock = clock
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="slabcell-vision")
 
+    def change(self, calibration: Calibration, eyes: Eyes, planner: Planner, settings: CellSettings) -> None:
+        """Look otherwise from the next picture on."""
+        self._calibration = calibration
+        self._eyes = eyes
+        self._planner = planner
+        self._settings = settings
+
     async def close(self) -> None:
         """End the worker thread; waits for what it computes.  May be called twice."""
         await end_executor(self._worker)

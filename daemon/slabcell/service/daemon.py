@@ -27,11 +27,13 @@ from slabcell.service.api.ring import EventRing
 from slabcell.service.api.server import listen, serve
 from slabcell.service.api.stream import StreamSeats
 from slabcell.service.builder import CellParts, cell_settings, open_cell
+from slabcell.service.bundles import BundleShelf
 from slabcell.service.camera_keeper import CameraKeeper
 from slabcell.service.config import CellConfig, load_config
 from slabcell.service.devices import InstanceLock, api_socket, make_camera, state_directory
 from slabcell.service.disk_watch import DiskWatch
 from slabcell.service.event_feed import EventFeed
+from slabcell.service.frames import FrameStore
 from slabcell.service.history import History
 from slabcell.service.ledger_view import LedgerView
 from slabcell.service.links import Links
@@ -105,9 +107,10 @@ async def _running(
     async with contextlib.AsyncExitStack() as stack:
         history = await History.open(folder / "history.sqlite")
         stack.push_async_callback(history.close)
-        ring = EventRing(secrets.token_hex(4))
-        links = Links()
-        feed = EventFeed(ring, history, links)
+        epoch = secrets.token_hex(4)
+        ring, links, frames = EventRing(epoch), Links(), FrameStore(epoch)
+        stack.push_async_callback(frames.close)
+        feed = EventFeed(ring, history, links, frames)
         links.changed = feed.link_changed
         camera = make_camera(config.camera)
         stack.push_async_callback(camera.close)
@@ -126,6 +129,8 @@ async def _running(
             ledger=view,
             ring=ring,
             seats=StreamSeats(config.api.event_clients),
+            frames=frames,
+            bundles=BundleShelf(folder / "bundles"),
         )
         keeper = CameraKeeper(camera, cell, links, lambda: cell.calibration)
         disk = DiskWatch(folder, cell.alarms, links)

@@ -8,6 +8,7 @@ from typing import Any
 from slabcell.cell import events
 from slabcell.service.api.ring import EventRing
 from slabcell.service.api.views import cycle_view, link_view, offer_view, placement_view
+from slabcell.service.frames import FrameStore
 from slabcell.service.history import CycleRow, History
 from slabcell.service.links import Link, Links
 
@@ -35,10 +36,11 @@ KINDS = {
 class EventFeed:
     """Subscribes to one cell; a link tells it of its changes too."""
 
-    def __init__(self, ring: EventRing, history: History, links: Links) -> None:
+    def __init__(self, ring: EventRing, history: History, links: Links, frames: FrameStore) -> None:
         self._ring = ring
         self._history = history
         self._links = links
+        self._frames = frames
 
     def add(self, kind: str, content: dict[str, Any]) -> None:
         """Add an event of the service itself."""
@@ -56,9 +58,11 @@ class EventFeed:
             case events.JobBegan(job) | events.JobEnded(job):
                 self.add("job", {"job": job.job_id, "state": job.state.value, "recipe": job.recipe, "slots": job.slots})
             case events.FrameTaken(frame):
+                self._frames.show(frame)
                 height, width = frame.pixels.shape[:2]
                 self.add("frame", {"frame": frame.frame_id, "width": width, "height": height})
             case events.PartsLocated(result):
+                self._frames.located(result)
                 slots = sorted(part.slot for part in result.parts)
                 self.add("located", {"slots": slots, "rejected": len(result.rejected), "empty": [*result.empty_slots]})
             case events.StageEnded(stage, duration_ms):

@@ -16,13 +16,17 @@ from slabcell.service.api.endpoint import Endpoint, make_route
 from slabcell.service.api.idempotency import Once
 from slabcell.service.api.openapi import describe
 from slabcell.service.api.problems import ProblemError, respond
-from slabcell.service.api.resources import alarms, control, events, jobs, status
+from slabcell.service.api.resources import alarms, control, cycles, events, frames, jobs, looking, results, status
 
 __all__ = ["ENDPOINTS", "description", "make_app"]
 
 ENDPOINTS: tuple[Endpoint[ApiContext], ...] = (
     *status.ENDPOINTS,
     *jobs.ENDPOINTS,
+    *cycles.ENDPOINTS,
+    *results.ENDPOINTS,
+    *frames.ENDPOINTS,
+    *looking.ENDPOINTS,
     *alarms.ENDPOINTS,
     *control.ENDPOINTS,
     *events.ENDPOINTS,

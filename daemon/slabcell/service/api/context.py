@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from slabcell.cell.cell import Cell
 from slabcell.service.api.ring import EventRing
 from slabcell.service.api.stream import StreamSeats
+from slabcell.service.bundles import BundleShelf
+from slabcell.service.frames import FrameStore
 from slabcell.service.history import History
 from slabcell.service.ledger_view import LedgerView
 from slabcell.service.links import Links
@@ -28,4 +30,6 @@ class ApiContext:
     ledger: LedgerView
     ring: EventRing
     seats: StreamSeats
+    frames: FrameStore
+    bundles: BundleShelf
     pending_reload: list[str] = field(default_factory=list[str])

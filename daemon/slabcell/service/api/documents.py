@@ -237,7 +237,7 @@ class FrameDocument(Document):
     height: int
     pixel_format: str
     age_s: float
-    source: str = Field(description="cycle, look or cycle N")
+    source: str = Field(description="camera, or the cycle that it was kept with")
     overlay: dict[str, Any] | None = Field(description="parts, rejected blobs and slots; null if nothing was located")
 
 
