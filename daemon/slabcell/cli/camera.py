@@ -2,19 +2,26 @@
 
 import asyncio
 import json
+import sys
+import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import asdict
 from ipaddress import AddressValueError, IPv4Address
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import cv2
+import structlog
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.console import Console
-from rich.table import Table
 
+from slabcell.cli.camera_report import (
+    device_document,
+    feature_document,
+    print_devices,
+    print_features,
+    print_stream_report,
+)
 from slabcell.errors import (
     ConfigurationError,
     ImageError,
@@ -33,7 +40,7 @@ from slabcell_drivers.camera import (
 )
 from slabcell_drivers.camera.aravis import AravisCamera
 from slabcell_drivers.camera.aravis_device import AravisDevice
-from slabcell_drivers.camera.aravis_features import Feature
+from slabcell_drivers.camera.aravis_features import Feature, FeatureKind
 from slabcell_drivers.camera.aravis_library import AravisError, AravisLibrary, AravisMissingError
 from slabcell_drivers.camera.discovery import Interface, discover, find_camera, force_ip, interfaces
 from slabcell_drivers.camera.gvcp import Device, Status
@@ -43,6 +50,9 @@ from slabcell_drivers.camera.stream_test import StreamReport, advise, look_at_pa
 __all__ = ["camera_app"]
 
 camera_app = typer.Typer(help="Find, set and test cameras.", no_args_is_help=True)
+
+MOVE_S: Final = 5.0
+"""A camera that was given an address answers from there by then."""
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 CameraName = Annotated[
@@ -61,22 +71,23 @@ PacketDelay = Annotated[
 ]
 
 
+@camera_app.callback()
+def _group() -> None:
+    """Keep the drivers' warnings out of the output, which may be JSON."""
+    structlog.configure(logger_factory=lambda *_: structlog.PrintLogger(sys.stderr))
+
+
 @camera_app.command("list")
 def list_command(interface: InterfaceName = None, *, as_json: AsJson = False) -> None:
     """List every GigE Vision camera that answers on the network.  Needs no camera library."""
     found = discover(on=_on(interface))
     if as_json:
-        typer.echo(json.dumps({"schema": "slabcell.camera-list/1", "cameras": [_device_document(d) for d in found]}))
+        typer.echo(json.dumps({"schema": "slabcell.camera-list/1", "cameras": [device_document(d) for d in found]}))
         return
     if not found:
         typer.echo("no camera answers; check power, cable and that UDP port 3956 may pass the firewall")
         return
-    table = Table("Address", "Serial", "Vendor", "Model", "Name", "MAC", box=SIMPLE_HEAD)
-    for device in found:
-        table.add_row(
-            str(device.address), device.serial, device.vendor, device.model, device.user_name, device.mac_text
-        )
-    Console().print(table)
+    print_devices(found)
 
 
 @camera_app.command("info")
@@ -94,21 +105,12 @@ def info_command(
     if as_json:
         document = {
             "schema": "slabcell.camera-info/1",
-            "camera": _device_document(device),
-            "features": [_feature_document(feature) for feature in found],
+            "camera": device_document(device),
+            "features": [feature_document(feature) for feature in found],
         }
         typer.echo(json.dumps(document))
         return
-    table = Table("Feature", "Value", "Range", "Access", box=SIMPLE_HEAD)
-    category = ""
-    for feature in found:
-        if feature.category != category:
-            category = feature.category
-            table.add_section()
-            table.add_row(f"[bold]{category}[/bold]")
-        value = "" if feature.value is None else str(feature.value)
-        table.add_row(feature.name, value, _range(feature), feature.access)
-    Console().print(table)
+    print_features(found)
 
 
 @camera_app.command("set")
@@ -126,11 +128,13 @@ def set_command(
     with _opened(device, control=True) as opened:
         done: list[Feature] = []
         for assignment in assignments:
-            name, _, value = assignment.partition("=")
+            name, equals, value = assignment.partition("=")
+            if not name or (not equals and opened.features.kind(name) is not FeatureKind.COMMAND):
+                raise UsageError(f"'{assignment}' sets nothing: write NAME=VALUE; only a command is a NAME alone")
             opened.features.set(name, value)
             done.append(opened.features.describe(name))
     if as_json:
-        features = [_feature_document(feature) for feature in done]
+        features = [feature_document(feature) for feature in done]
         typer.echo(json.dumps({"schema": "slabcell.camera-set/1", "features": features}))
         return
     for feature in done:
@@ -164,7 +168,7 @@ def grab_command(
     document = {
         "schema": "slabcell.picture/1",
         "image": out.name,
-        "camera": _device_document(device),
+        "camera": device_document(device),
         "pixel_format": frame.pixel_format,
         "width": frame.pixels.shape[1],
         "height": frame.pixels.shape[0],
@@ -189,11 +193,18 @@ def force_ip_command(
     """Give a camera an address until it is switched off; it need not be in this host's network.  Needs no library."""
     device = _find(camera, interface)
     new, mask, way = _ipv4(address, "ADDRESS"), _ipv4(subnet, "--subnet"), _ipv4(gateway, "--gateway")
+    other = find_camera(str(new), on=_on(interface))
+    if other is not None and other.mac != device.mac:
+        raise UsageError(f"ADDRESS {new} is taken by camera {other.serial} ({other.mac_text}); choose another")
     status = force_ip(device.mac, new, mask, way, on=_on(interface))
     if status is Status.ACCESS_DENIED:
         raise TemporaryError(f"camera {camera}: a client controls it; close that one first")
     if status is not Status.SUCCESS:
-        raise UnavailableError(f"camera {camera}: " + ("refused the address" if status else "did not answer"))
+        how = f"answered {status.name}" if status else "did not answer"
+        raise UnavailableError(
+            f"camera {camera}: did not take {new}, it {how}; the address must be in the network that its cable leads to"
+        )
+    _wait_for_address(camera, device, new, interface)
     if as_json:
         typer.echo(json.dumps({"schema": "slabcell.camera-force-ip/1", "mac": device.mac_text, "address": str(new)}))
     else:
@@ -225,7 +236,7 @@ def stream_test_command(
         document = asdict(report) | {"schema": "slabcell.camera-stream-test/1", "advice": lines}
         typer.echo(json.dumps(document | {"megabytes_per_s": report.megabytes_per_s}))
     else:
-        _print_report(report, lines)
+        print_stream_report(report, lines)
     if report.failed:
         raise typer.Exit(1)
 
@@ -292,6 +303,18 @@ def _find(camera: str, interface: str | None) -> Device:
     return found
 
 
+def _wait_for_address(camera: str, device: Device, wanted: IPv4Address, interface: str | None) -> None:
+    """Return when the camera answers from its new address; it may need a moment to go there."""
+    deadline_s = time.monotonic() + MOVE_S
+    seen: Device | None = None
+    while time.monotonic() < deadline_s:
+        seen = find_camera(device.mac_text, on=_on(interface))
+        if seen is not None and seen.address == wanted:
+            return
+    where = f"still answers from {seen.address}" if seen else "does not answer any more"
+    raise UnavailableError(f"camera {camera}: said that it takes {wanted}, and {where}; switch it off and on")
+
+
 def _on(name: str | None) -> list[Interface] | None:
     if name is None:
         return None
@@ -318,56 +341,3 @@ def _write(out: Path, frame: ImageFrame, document: dict[str, Any]) -> None:
         out.with_suffix(".json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
     except OSError as error:
         raise ImageError(f"{out}: cannot be written: {error.strerror}") from error
-
-
-def _device_document(device: Device) -> dict[str, str]:
-    return {
-        "address": str(device.address),
-        "serial": device.serial,
-        "vendor": device.vendor,
-        "model": device.model,
-        "name": device.user_name,
-        "mac": device.mac_text,
-        "version": device.version,
-    }
-
-
-def _feature_document(feature: Feature) -> dict[str, Any]:
-    return {
-        "name": feature.name,
-        "category": feature.category,
-        "kind": feature.kind.value,
-        "access": feature.access,
-        "value": feature.value,
-        "minimum": feature.minimum,
-        "maximum": feature.maximum,
-        "choices": list(feature.choices),
-    }
-
-
-def _range(feature: Feature) -> str:
-    if feature.choices:
-        return ", ".join(feature.choices)
-    if feature.minimum is not None and feature.maximum is not None:
-        return f"{feature.minimum:.10g} to {feature.maximum:.10g}"
-    return ""
-
-
-def _print_report(report: StreamReport, advice: list[str]) -> None:
-    seen = report.statistics
-    console = Console(highlight=False)
-    console.print(
-        f"{report.frames} of {report.triggers} pictures in {report.duration_s:.1f} s:"
-        f" {report.megabytes_per_s:.1f} MB/s;"
-        f" trigger to pixels {report.latency_median_ms:.1f} ms median, {report.latency_p99_ms:.1f} ms p99"
-    )
-    console.print(
-        f"packets of {report.packet_size} bytes, {report.packet_delay_ns} ns apart; {seen.packets_resent} sent again,"
-        f" {seen.packets_missing} missing; {seen.incomplete} incomplete frames, {seen.retries} taken again,"
-        f" {seen.underruns} without a buffer"
-    )
-    console.print(f"{report.path.interface}: MTU {report.path.mtu}; net.core.rmem_max {report.path.rmem_max}")
-    for line in advice:
-        console.print(f"-> {line}", style="yellow", markup=False)
-    if not advice:
-        console.print("nothing to change")

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import Enum
+from ipaddress import IPv4Address
 
 from slabcell_drivers.camera.aravis_library import AravisError, AravisLibrary, DeviceFault, Pointer
 from slabcell_drivers.camera.features import remedy
@@ -37,10 +38,12 @@ class Feature:
     value: FeatureValue | None
     minimum: float | None = None
     maximum: float | None = None
+    increment: int | None = None
     choices: tuple[str, ...] = ()
 
 
 _ACCESS = {0: "RO", 1: "WO", 2: "RW"}
+_WORDS = {FeatureKind.INTEGER: "whole number", FeatureKind.FLOAT: "number", FeatureKind.BOOLEAN: "truth value"}
 
 
 class Features:
@@ -121,7 +124,8 @@ class Features:
         except CameraConfigError:
             value = None
         low, high = self._bounds(name, kind)
-        return Feature(name, category, kind, access, value, low, high, self._choices(name, kind))
+        step = self._step(name, kind) if kind is FeatureKind.INTEGER else None
+        return Feature(name, category, kind, access, value, low, high, step, self._choices(name, kind))
 
     def all(self) -> tuple[Feature, ...]:
         """Return every feature, in the order of the camera's own tree."""
@@ -175,9 +179,10 @@ class Features:
                 case _:
                     return value
         except (ValueError, KeyError) as error:
-            raise self._wrong(f"{name} = {value!r} is no {kind.value}", name, kind) from error
+            raise self._wrong(f"{name} = {value!r} is no {_WORDS.get(kind, kind.value)}", name, kind) from error
         low, high = self._bounds(name, kind)
-        if low is not None and high is not None and not low <= float(wanted) <= high:
+        outside = low is not None and high is not None and not low <= float(wanted) <= high
+        if outside or (kind is FeatureKind.INTEGER and (int(wanted) - int(low or 0)) % self._step(name, kind)):
             raise self._wrong(f"{name} = {value} is refused", name, kind)
         return wanted
 
@@ -222,7 +227,8 @@ class Features:
         if kind is not FeatureKind.INTEGER:
             return 1
         try:
-            return int(self._library.call("arv_device_get_integer_feature_increment", self._device, name.encode()))
+            step = self._library.call("arv_device_get_integer_feature_increment", self._device, name.encode())
+            return max(1, int(step))
         except AravisError as error:
             if error.code == DeviceFault.TIMEOUT:
                 raise
@@ -244,9 +250,9 @@ class Features:
 
 
 def _whole(value: FeatureValue) -> int:
-    """Return a whole number; text may be hexadecimal.  Raises ValueError."""
+    """Return a whole number; text may be hexadecimal, or an IPv4 address as cameras have it.  Raises ValueError."""
     if isinstance(value, str):
-        return int(value, 0)
+        return int(IPv4Address(value)) if value.count(".") == 3 else int(value, 0)
     if value != int(value):
         raise ValueError(value)
     return int(value)

@@ -1,7 +1,7 @@
 """How is a GenICam camera to be set, and what did it do so far?  Values that every real driver shares."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from slabcell_drivers.camera.protocol import CameraConfigError
@@ -69,3 +69,9 @@ class CameraStatistics:
     """From trigger to pixels, of the newest frame."""
     socket_buffer_bytes: int = 0
     """What the kernel gave the stream's socket, read back; 0 if that is not known."""
+
+    def since(self, before: "CameraStatistics") -> "CameraStatistics":
+        """Return what was counted after ``before``, a copy of an earlier moment."""
+        counts = ("frames", "incomplete", "timeouts", "stale", "gaps", "retries", "restarts", "reconnects", "underruns",
+                  "packets_resent", "packets_missing")  # fmt: skip
+        return replace(self, **{name: getattr(self, name) - getattr(before, name) for name in counts})

@@ -6,7 +6,7 @@ The advice is a pure function of what was measured, so that each line of it is t
 import asyncio
 import socket
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -84,6 +84,7 @@ async def measure_stream(
     """Trigger an open camera again and again for a while.  Raises CameraLost; bad frames are counted."""
     latencies_s: list[float] = []
     triggers = failed = frame_bytes = 0
+    before = replace(camera.statistics)  # the first picture after a start is often incomplete, and not measured
     began_s = time.monotonic()
     while time.monotonic() - began_s < duration_s:
         triggers += 1
@@ -110,7 +111,7 @@ async def measure_stream(
         float(np.median(latencies_s)) * 1e3,
         float(np.percentile(latencies_s, 99)) * 1e3,
         path,
-        camera.statistics,
+        camera.statistics.since(before),
     )
 
 
@@ -140,8 +141,9 @@ def advise(report: StreamReport) -> list[str]:
         )
     elif path.mtu and report.packet_size < min(path.mtu, JUMBO) // 2:
         advice.append(
-            f"Packets have {report.packet_size} bytes, {path.interface} takes {min(path.mtu, JUMBO)}: leave the packet"
-            " size unset, so that the largest that passes is found; a switch in between may not take jumbo frames."
+            f"Packets have {report.packet_size} bytes, {path.interface} takes {min(path.mtu, JUMBO)}: set no size"
+            " and the largest that passes is found; a camera that knows no test packet must be told it"
+            f" (--packet-size {min(path.mtu, JUMBO)}). A switch in between may not take jumbo frames."
         )
     if losing and not report.packet_delay_ns:
         advice.append(

@@ -1,5 +1,6 @@
 """Cameras to test with: in this process, or as programs that can be killed; each test's on an address of its own."""
 
+import importlib.util
 import os
 import shutil
 import signal
@@ -12,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from slabcell_drivers.camera.aravis_library import AravisLibrary, AravisMissingError
+from slabcell_drivers.gentl import ProducerBuildError, build
 from slabcell_drivers.simulation.gige import CheckedPattern, GigeCamera, SensorLimits
 
 SLABCELL = str(Path(sys.executable).parent / "slabcell")
@@ -44,6 +46,22 @@ def _addresses() -> Iterator[str]:
     """Addresses that no other test process of this machine uses: each has a block of its own, by its process id."""
     high, low = divmod(os.getpid(), 250)
     return (f"127.{1 + high % 250}.{1 + low}.{last}" for last in range(1, 255))
+
+
+@pytest.fixture(scope="session")
+def harvesters() -> None:
+    if importlib.util.find_spec("harvesters") is None or importlib.util.find_spec("genicam") is None:
+        need("harvesters and genicam are not installed: pip install 'slabcell[camera]'")
+
+
+@pytest.fixture(scope="session")
+def producer(harvesters: None) -> Path:
+    """Our own GenTL producer."""
+    try:
+        return build()
+    except ProducerBuildError as error:
+        need(str(error))
+        raise
 
 
 @pytest.fixture
@@ -91,6 +109,11 @@ class Program:
             if "ready at" not in line:
                 _, errors = self._process.communicate()
                 pytest.fail(f"{' '.join(self._command)}: {line}{errors}")
+
+    @property
+    def process_id(self) -> int:
+        assert self._process is not None
+        return self._process.pid
 
     def signal(self, number: signal.Signals) -> None:
         assert self._process is not None

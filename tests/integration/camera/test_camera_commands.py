@@ -2,6 +2,7 @@
 
 import json
 import signal
+import socket
 from collections.abc import Callable
 from pathlib import Path
 
@@ -52,6 +53,24 @@ def test_force_ip_gives_a_camera_another_address(gige: GigeCamera, another_addre
     assert [c["address"] for c in found["cameras"] if c["serial"] == gige.device.serial] == [another_address]
 
 
+def test_force_ip_refuses_what_the_camera_cannot_take(
+    gige: GigeCamera, another_address: str, pattern: CheckedPattern
+) -> None:
+    with pytest.raises(UnavailableError, match=r"did not take 10\.0\.0\.9, it answered INVALID_PARAMETER"):
+        run("force-ip", gige.device.mac_text, "10.0.0.9", *LO)
+    with (
+        GigeCamera(pattern, another_address, serial="SECOND"),
+        pytest.raises(UsageError, match="taken by camera SECOND"),
+    ):
+        run("force-ip", gige.device.mac_text, another_address, *LO)
+    before = gige.address
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind((another_address, 3956))  # by something that is no camera
+        with pytest.raises(UnavailableError, match="did not answer"):
+            run("force-ip", gige.device.mac_text, another_address, *LO)
+    assert gige.address == before
+
+
 def test_a_camera_that_is_not_there_is_unavailable() -> None:
     with pytest.raises(UnavailableError, match="camera list"):
         run("force-ip", "NO-SUCH-CAMERA", "127.0.0.9", *LO)
@@ -70,22 +89,47 @@ def test_info_reads_features_and_set_writes_them(aravis: AravisLibrary, gige: Gi
     assert features["Width"]["value"] == 640
     assert features["ExposureTime"] | {"category": ""} == {
         "name": "ExposureTime", "category": "", "kind": "float", "access": "RW", "value": 5000.0, "minimum": 15.0,
-        "maximum": 1_000_000.0, "choices": [],
+        "maximum": 1_000_000.0, "increment": None, "choices": [],
     }  # fmt: skip
+    assert features["Width"]["increment"] == 4
     assert "BayerRG8" in features["PixelFormat"]["choices"]
-    done = run_json("set", gige.address, "ExposureTime=1234.5", "PixelFormat=Mono12p", "GevSCPD=0x10", *LO)
-    assert [feature["value"] for feature in done["features"]] == [1234.5, "Mono12p", 16]
+    done = run_json(
+        "set", gige.address, "ExposureTime=1234.5", "PixelFormat=Mono12p", "GevSCPD=0x10", "DeviceUserID=north",
+        "GevPersistentIPAddress=192.168.10.5", "AcquisitionFrameRateEnable=on", *LO,
+    )  # fmt: skip
+    assert [feature["value"] for feature in done["features"]] == [
+        1234.5, "Mono12p", 16, "north", 0xC0A80A05, True,
+    ]  # fmt: skip
     assert gige.settings.exposure_us == 1234.5
     assert gige.settings.packet_delay_ns == 16
 
 
-def test_a_value_out_of_range_and_an_unknown_feature_are_configuration_errors(
+@pytest.mark.parametrize(
+    ("assignment", "message"),
+    [
+        ("ExposureTime=1", r"ExposureTime = 1 is refused: it must be 15 to 1000000; `slabcell camera info"),
+        ("ExposureTime=long", r"ExposureTime = 'long' is no number: it must be 15 to 1000000"),
+        ("Width=638", r"Width = 638 is refused: it must be 4 to 640 in steps of 4; .* shows what it has and takes"),
+        ("PixelFormat=Mono9", r"PixelFormat = Mono9 is refused: it takes Mono8, .*RGB8"),
+        ("AcquisitionFrameRateEnable=maybe", r"'maybe' is no truth value: it takes true and false"),
+        ("SensorWidth=3", r"SensorWidth = 3 is refused: it can only be read now"),
+        ("Sharpness=1", r"has no feature Sharpness; `slabcell camera info"),
+    ],
+)
+def test_what_cannot_be_set_is_named_with_value_range_and_remedy(
+    aravis: AravisLibrary, gige: GigeCamera, assignment: str, message: str
+) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        run("set", gige.address, assignment, *LO)
+
+
+def test_an_assignment_without_a_value_is_wrong_usage_and_a_command_needs_none(
     aravis: AravisLibrary, gige: GigeCamera
 ) -> None:
-    with pytest.raises(ConfigurationError, match="it must be 15 to 1000000"):
-        run("set", gige.address, "ExposureTime=1", *LO)
-    with pytest.raises(ConfigurationError, match="has no feature"):
-        run("set", gige.address, "Sharpness=1", *LO)
+    for assignment in ("Width", "=3"):
+        with pytest.raises(UsageError, match="write NAME=VALUE"):
+            run("set", gige.address, assignment, *LO)
+    assert "done" in run("set", gige.address, "GevTimestampControlLatch", *LO)
 
 
 def test_a_camera_in_use_can_be_looked_at_but_not_set(aravis: AravisLibrary, gige: GigeCamera) -> None:

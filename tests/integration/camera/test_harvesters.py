@@ -1,7 +1,6 @@
 """Does the Harvesters driver deliver whole, fresh frames, and survive producers that die?  With two real producers."""
 
 import asyncio
-import importlib.util
 import os
 import signal
 import subprocess
@@ -32,26 +31,11 @@ PLAIN = CameraSettings(packet_size=8000, heartbeat_ms=2000)
 
 
 @pytest.fixture(scope="session")
-def harvesters() -> None:
-    if importlib.util.find_spec("harvesters") is None or importlib.util.find_spec("genicam") is None:
-        need("harvesters and genicam are not installed: pip install 'slabcell[camera]'")
-
-
-@pytest.fixture(scope="session")
 def tlsimu(harvesters: None) -> Path:
     path = Path(os.environ.get("SLABCELL_TLSIMU", f"{sys.prefix}/share/tlsimu/TLSimu.cti"))
     if not path.is_file():
         need(f"{path} is not there: it comes with the wheel that requirements/tlsimu.txt names")
     return path
-
-
-@pytest.fixture(scope="session")
-def producer(harvesters: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    try:
-        return build()
-    except ProducerBuildError as error:
-        need(str(error))
-        raise
 
 
 @asynccontextmanager

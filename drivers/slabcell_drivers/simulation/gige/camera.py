@@ -11,12 +11,12 @@ import threading
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from ipaddress import IPv4Address, IPv4Network
+from ipaddress import IPv4Address
 from types import TracebackType
 from typing import Final
 
 from slabcell_drivers.camera.gvcp import PORT, Device
-from slabcell_drivers.simulation.gige.control import Action, AddressForced, Control, Effect, ResendWanted
+from slabcell_drivers.simulation.gige.control import LOOPBACK, Action, AddressForced, Control, Effect, ResendWanted
 from slabcell_drivers.simulation.gige.faults import Faults
 from slabcell_drivers.simulation.gige.features import SensorLimits
 from slabcell_drivers.simulation.gige.registers import StreamSettings
@@ -25,7 +25,6 @@ from slabcell_drivers.simulation.gige.stream import Streamer, StreamerCounts
 
 __all__ = ["GigeCamera", "GigeCameraError"]
 
-LOOPBACK: Final = IPv4Network("127.0.0.0/8")
 _BROADCASTS: Final = ("255.255.255.255", "127.255.255.255")
 _TICK_S: Final = 0.05
 MAX_SERIAL_BYTES: Final = 15
@@ -168,15 +167,16 @@ class GigeCamera:
                 self._streamer.stop()
         # An acquisition runs, and a new address is in place, before the client hears so: it may use them at once.
         early = [effect for effect in reaction.effects if effect is Action.START or isinstance(effect, AddressForced)]
-        self._act(early)
-        if reaction.answer is not None:
+        done = self._act(early)
+        if done and reaction.answer is not None:
             self._unicast.sendto(reaction.answer, peer)
         self._act([effect for effect in reaction.effects if effect not in early])
 
-    def _act(self, effects: Sequence[Effect]) -> None:
+    def _act(self, effects: Sequence[Effect]) -> bool:
+        """Do it; False if an address could not be taken, which no client hears of, as from cameras."""
         streamer = self._streamer
         if streamer is None:
-            return
+            return False
         for effect in effects:
             match effect:
                 case Action.START:
@@ -190,16 +190,20 @@ class GigeCamera:
                 case ResendWanted():
                     streamer.resend(effect)
                 case AddressForced():
-                    self._move(effect)
+                    if not self._move(effect):
+                        return False
+        return True
 
-    def _move(self, forced: AddressForced) -> None:
-        """Take another address, if it is ours to take; a camera that cannot stays where it is."""
-        if forced.address not in LOOPBACK or self._unicast is None or self._streamer is None:
-            return
+    def _move(self, forced: AddressForced) -> bool:
+        """Take another address, if nobody has it; a camera that cannot stays where it is."""
+        if self._unicast is None or self._streamer is None:
+            return False
+        if str(forced.address) == self.address:
+            return True
         try:
             moved = _bind(str(forced.address))
         except OSError:
-            return
+            return False
         self._selector.unregister(self._unicast)
         self._unicast.close()
         self._unicast = moved
@@ -209,6 +213,7 @@ class GigeCamera:
             self._control.readdress(device)
         self._streamer.stop()
         self._streamer.readdress(str(forced.address))
+        return True
 
 
 def _bind(host: str, *, shared: bool = False) -> socket.socket:

@@ -8,7 +8,7 @@ Source: GigE Vision 1.2, control channel privilege and heartbeat; bootstrap regi
 import struct
 from dataclasses import dataclass
 from enum import Enum, auto
-from ipaddress import IPv4Address
+from ipaddress import IPv4Address, IPv4Network
 from typing import Final
 
 from slabcell_drivers.camera.gvcp import (
@@ -28,10 +28,12 @@ from slabcell_drivers.camera.gvcp import (
 from slabcell_drivers.simulation.gige.features import Kind, Place, SensorLimits
 from slabcell_drivers.simulation.gige.registers import RefusedError, Registers, StreamSettings
 
-__all__ = ["Action", "AddressForced", "Control", "Effect", "Reaction", "ResendWanted"]
+__all__ = ["LOOPBACK", "Action", "AddressForced", "Control", "Effect", "Reaction", "ResendWanted"]
 
 Address = tuple[str, int]
 
+LOOPBACK: Final = IPv4Network("127.0.0.0/8")
+"""Where cameras in software live."""
 _FIRE: Final = 0x8000_0000
 _WORD: Final = struct.Struct(">I")
 
@@ -183,6 +185,8 @@ class Control:
         if self.controller is not None:
             raise RefusedError(Status.ACCESS_DENIED)
         address, subnet, gateway = (IPv4Address(body[at : at + 4]) for at in (20, 36, 52))
+        if address not in LOOPBACK:
+            raise RefusedError(Status.INVALID_PARAMETER)
         effects.append(AddressForced(address, subnet, gateway))
         return b""
 
