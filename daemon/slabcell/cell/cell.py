@@ -73,6 +73,7 @@ class Cell:
             *(ledger, BundleContext(recipe, calibration, settings, arm) if bundles else None, bundles),
             emit=self._emit,
             failed=lambda detail: self.alarms.come(Fault.BUNDLE_UNWRITABLE, detail),
+            kept=lambda: self.alarms.cease(Fault.BUNDLE_UNWRITABLE),
         )
         self._looking = Looking(
             camera,

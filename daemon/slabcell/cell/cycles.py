@@ -22,7 +22,10 @@ KEPT_EXCHANGES = 2000
 
 
 class Cycles:
-    """The present cycle and the records of the last ones.  ``failed`` is told why a bundle could not be kept."""
+    """The present cycle and the records of the last ones.
+
+    ``failed`` is told why a bundle could not be kept, ``kept`` that one was.
+    """
 
     def __init__(
         self,
@@ -32,6 +35,7 @@ class Cycles:
         *,
         emit: Callable[[Event], None],
         failed: Callable[[str], None],
+        kept: Callable[[], None],
     ) -> None:
         self.records: deque[CycleRecord] = deque(maxlen=KEPT_RECORDS)
         self.present: CycleRecord | None = None
@@ -44,7 +48,12 @@ class Cycles:
         self._keeping: set[asyncio.Task[None]] = set()
         if bundles is not None:
             bundles.failed = failed
-            bundles.kept = lambda cycle, file: emit(CycleKept(cycle, file))
+            bundles.kept = self._was_kept
+        self._kept = kept
+
+    def _was_kept(self, cycle: CycleRecord, file: str) -> None:
+        self._kept()
+        self._emit(CycleKept(cycle, file))
 
     def change(self, context: BundleContext) -> None:
         """Keep the cycles to come with another recipe, calibration or settings."""

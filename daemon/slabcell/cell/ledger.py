@@ -367,11 +367,11 @@ class Ledger:
         self._closed = False
 
     @classmethod
-    async def open(cls, path: Path) -> Ledger:
-        """Open or create the file.  Raises `LedgerError`."""
+    async def open(cls, path: Path, *, now: Callable[[], str] = _utc_now) -> Ledger:
+        """Open or create the file.  ``now`` tells the time that is written beside each step.  Raises `LedgerError`."""
         executor = ThreadPoolExecutor(1, thread_name_prefix="slabcell-ledger")
         try:
-            file = await asyncio.get_running_loop().run_in_executor(executor, LedgerFile, path)
+            file = await asyncio.get_running_loop().run_in_executor(executor, lambda: LedgerFile(path, now=now))
         except BaseException:
             executor.shutdown(wait=False)
             raise

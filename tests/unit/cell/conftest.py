@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import AsyncIterator, Callable, Collection
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +11,12 @@ import numpy as np
 import pytest
 
 from slabcell.calibration.model import Calibration, CameraIdentity, Lens, TablePlane
-from slabcell.cell.bundle_store import BundleWriter, Retention
+from slabcell.cell.bundle_store import BundleWriter
 from slabcell.cell.cell import Cell
 from slabcell.cell.events import ResultMoved
 from slabcell.cell.ledger import Ledger
 from slabcell.cell.records import OfferState, PlacementRecord
+from slabcell.cell.retention import Retention
 from slabcell.cell.settings import CellSettings
 from slabcell.geometry import PlanarPose, Polygon, RigidTransform2D
 from slabcell.recipe import Recipe
@@ -197,6 +199,7 @@ class Bench:
         self.recipe = make_recipe()
         self.bundles = False
         self.retention: Retention | None = None
+        self.utc_now: Callable[[], datetime] = lambda: datetime.now(UTC)
         self.events: list[Any] = []
 
     def clock(self) -> float:
@@ -204,7 +207,9 @@ class Bench:
         return self.now_s
 
     async def start(self) -> None:
-        self.ledger = await Ledger.open(self.folder / "ledger.sqlite")
+        self.ledger = await Ledger.open(
+            self.folder / "ledger.sqlite", now=lambda: self.utc_now().isoformat(timespec="milliseconds")
+        )
         self.cell = Cell(
             self.camera,
             make_calibration(),
@@ -212,7 +217,9 @@ class Bench:
             arm=KR3_R540,
             settings=self.settings,
             ledger=self.ledger,
-            bundles=BundleWriter(self.folder / "bundles", retention=self.retention) if self.bundles else None,
+            bundles=BundleWriter(self.folder / "bundles", retention=self.retention, now=self.utc_now)
+            if self.bundles
+            else None,
             eyes=self.eyes,
             clock=self.clock,
         )

@@ -1,11 +1,14 @@
 """Are bundles kept as long as they should be, and no longer?"""
 
 import os
+import shutil
+from types import SimpleNamespace
 
 import pytest
 
 from slabcell.catalogue import Fault
-from slabcell.cell.bundle_store import BundleWriter, Retention, prune
+from slabcell.cell.bundle_store import BundleWriter
+from slabcell.cell.retention import Retention, make_room, prune
 from slabcell_drivers.camera.protocol import CameraLost
 
 pytestmark = pytest.mark.unit
@@ -16,7 +19,7 @@ def folder(tmp_path):
     """Ten bundles of 100 bytes, one a minute, every fifth a failure; the last is of now."""
     for index in range(10):
         kind = "failure" if index % 5 == 0 else "cycle"
-        path = tmp_path / f"20260101T00{index:02d}00.000Z_job1_1-{index}_{kind}.zip"
+        path = tmp_path / f"{index + 1:08d}_20260101T00{index:02d}00.000Z_job1_1-{index}_{kind}.zip"
         path.write_bytes(b"x" * 100)
         os.utime(path, (600.0 * index, 600.0 * index))
     return tmp_path
@@ -47,6 +50,44 @@ def test_the_bundle_just_written_stays_even_if_it_alone_is_too_large(folder):
     newest = max(folder.iterdir())
     prune(folder, Retention(max_bytes=10, failures_max_bytes=10), now_s=1e12, spare=newest)
     assert left(folder) == [9]
+
+
+def test_the_oldest_is_the_one_that_was_written_first_whatever_the_clock_said(folder):
+    for path in folder.iterdir():  # as if the clock had been set back ten years after the fifth
+        if int(path.name[:8]) > 5:
+            path.rename(path.with_name(path.name.replace("_2026", "_2016")))
+    prune(folder, Retention(max_bytes=300, max_age_s=1e9), now_s=6000.0, spare=folder / "none")
+    assert left(folder) == [0, 5, 7, 8, 9]
+
+
+def test_a_clock_that_is_years_ahead_costs_a_few_bundles_only(folder):
+    gone = prune(folder, Retention(), now_s=1e10, spare=folder / "none")
+    assert left(folder) == [7, 8, 9]  # five that went well, and both failures
+    assert len(gone) == 7
+
+
+def test_bundles_of_what_went_well_make_room_and_failures_stay(folder, monkeypatch):
+    room = iter([100, 100, 100, 5000])
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=next(room)))
+    make_room(folder, Retention(min_free_bytes=4096))
+    assert left(folder) == [0, 4, 5, 6, 7, 8, 9]
+
+
+async def test_numbers_go_on_and_what_a_dead_process_left_is_tidied_up(bench):
+    await bench.stop()
+    bench.bundles = True
+    (bench.folder / "bundles").mkdir()
+    (bench.folder / "bundles" / "00000041_20260101T000000.000Z_job9_9-9_cycle.zip").write_bytes(b"x")
+    (bench.folder / "bundles" / "00000042_20260101T000000.000Z_job9_9-9_cycle.part").write_bytes(b"x")
+    await bench.start()
+    await bench.robot.hello()
+    await bench.robot.lay_all()
+    await bench.cell.stop()
+    assert [path.name[:9] for path in sorted((bench.folder / "bundles").iterdir())] == [
+        "00000041_",
+        "00000042_",
+        "00000043_",
+    ]
 
 
 async def test_a_failed_cycle_is_named_a_failure(bench):
