@@ -6,6 +6,7 @@ python docs/generate.py [--check]
 import argparse
 import json
 import sys
+import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -30,6 +31,7 @@ def pages() -> dict[Path, str]:
         DOCS / "reference" / "states.md": states_page(),
         DOCS / "reference" / "errors.md": errors_page(catalogue().values()),
         DOCS / "reference" / "exactly-once.md": exactly_once_page(),
+        DOCS / "reference" / "faults.md": faults_page(),
         architecture: _between_marks(architecture.read_text(encoding="utf-8"), "states", state_diagram()),
         control_api: _between_marks(control_api.read_text(encoding="utf-8"), "resources", resources_table()),
         DOCS / "reference" / "control-api.json": json.dumps(description(), indent=1, ensure_ascii=False) + "\n",
@@ -124,6 +126,27 @@ def errors_page(entries: Iterable[Entry]) -> str:
             "",
         ]
     return "\n".join(lines)
+
+
+def faults_page() -> str:
+    """Return the page of the fault matrix."""
+    rows = tomllib.loads((DOCS / "reference" / "faults.toml").read_text(encoding="utf-8"))["row"]
+    lines = [
+        "# Faults",
+        "",
+        NOTE.strip(),
+        "",
+        "What can go wrong, how the cell notices, what it does, which [number](errors.md) a person sees, and the tests",
+        "that make it happen and look. The rows stand in `faults.toml`; a test fails if one has no test.",
+        "",
+        "| fault | notices by | does | number | tests |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for row in rows:
+        numbers = ", ".join(str(number) for number in row["numbers"]) or "none"
+        tests = "<br>".join(f"`{test}`" for test in row["tests"])
+        lines.append(f"| {row['fault']} | {row['notices']} | {row['does']} | {numbers} | {tests} |")
+    return "\n".join([*lines, ""])
 
 
 def exactly_once_page() -> str:

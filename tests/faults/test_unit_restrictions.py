@@ -116,6 +116,22 @@ def test_camera_opencv_and_numpy_work_within_the_limits(tmp_path):
     assert found["rank"] == 200
 
 
+def test_the_daemon_lays_the_pattern_within_the_limits(cell, tmp_path):
+    """The whole of it: Aravis, vision, planning, ledger, bundles and control API, under the limits of the unit."""
+    state = tmp_path / "state"
+    state.mkdir()
+    with (
+        confined(tmp_path, state) as (limits, descriptors),
+        cell.daemon(limits=limits, pass_fds=descriptors) as daemon,
+    ):
+        cell.wait_for_log("camera open")
+        with cell.world.controller(daemon.address, seed=1) as controller:
+            result = controller.run("SlabCell", max_wall_s=LIMIT_S)
+        assert (result.status, result.message) == ("done", "")
+        assert daemon.client.get("/v1/status")["state"] == "ready"
+    assert list((state / "bundles").iterdir())
+
+
 def test_the_unit_lets_no_privileged_call_through():
     calls = allowed_calls()
     assert {"read", "openat", "socket", "futex", "mmap", "clone"} <= calls

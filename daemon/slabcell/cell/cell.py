@@ -99,6 +99,8 @@ class Cell:
             conditions=self._conditions,
         )
         self._turn = asyncio.Lock()
+        self._clock = clock
+        self._serving_since_s: float | None = None
         self._tasks: set[asyncio.Task[Answer]] = set()
         self._subscribers: list[Subscriber] = []
         self._log = structlog.stdlib.get_logger("slabcell.cell")
@@ -117,6 +119,11 @@ class Cell:
     def suspended(self) -> SuspendedCause | None:
         """Why the cell waits for something outside of it, if it does."""
         return self._conditions.suspended
+
+    @property
+    def serving_for_s(self) -> float:
+        """How long the present request has been served, in seconds; 0 if there is none."""
+        return 0.0 if self._serving_since_s is None else self._clock() - self._serving_since_s
 
     @property
     def stepping(self) -> bool:
@@ -342,6 +349,7 @@ class Cell:
                 await self._turn.acquire()
         except TimeoutError:
             return self._to_answer(Reply(ResultCode.BUSY, message="Cell is busy. Ask again."), request)
+        self._serving_since_s = self._clock()
         try:
             known = self._serving.conversation.recall(request)
             if known is not None:
@@ -358,6 +366,7 @@ class Cell:
             self._serving.conversation.remember(request, answer)
             return answer
         finally:
+            self._serving_since_s = None
             self._turn.release()
 
     def _about(self, request: Request) -> dict[str, int]:

@@ -18,7 +18,7 @@ __all__ = ["FAILURE", "Retention", "make_room", "next_number", "prune"]
 
 FAILURE = "failure"
 DAY_S = 86_400.0
-MOST_AGED_OUT = 5
+MOST_AGED_OUT = 2
 """So many are deleted for their age with each bundle that is written: more than come, and not all at once."""
 
 _NUMBER = re.compile(r"(\d{8,})_")

@@ -18,6 +18,7 @@ from typing import Any
 import structlog
 
 from slabcell.calibration import load_calibration
+from slabcell.cell.cell import Cell
 from slabcell.cell.ledger import Ledger
 from slabcell.errors import ConfigurationError, UnavailableError
 from slabcell.recipe import load_recipe
@@ -39,6 +40,7 @@ from slabcell.service.ledger_view import LedgerView
 from slabcell.service.links import Links
 from slabcell.service.notify import notify, watchdog_interval_s
 from slabcell.service.robot_watch import RobotWatch
+from slabcell.service.watchdog import feed
 from slabcell_drivers.robot.arm import arm_by_name
 from slabcell_drivers.robot.eki.client import EkiClient
 from slabcell_drivers.robot.eki.link import EkiServer
@@ -46,7 +48,6 @@ from slabcell_drivers.robot.eki.link import EkiServer
 __all__ = ["run_daemon"]
 
 STOP_TIMEOUT_S = 5.0
-ALIVE_TIMEOUT_S = 2.0
 SOCKET_MODE = 0o660
 
 _log = structlog.get_logger(__name__)
@@ -69,7 +70,7 @@ async def run_daemon(path: Path, *, ready: Callable[[tuple[str, int]], None] | N
             if ready is not None:
                 ready(address)
             notify(f"READY=1\nSTATUS=recipe {recipe}, waiting for the robot")
-            async with _beside(*_watchdog(ledger)):
+            async with _beside(*_watchdog(context.cell, ledger)):
                 await stopping.wait()
             notify("STOPPING=1")
             _log.info("stopping")
@@ -188,19 +189,7 @@ async def _link(config: CellConfig, robot: RobotWatch) -> AsyncGenerator[tuple[s
             await link.stop()
 
 
-def _watchdog(ledger: Ledger) -> tuple[Coroutine[Any, Any, None], ...]:
-    """Return what feeds the supervisor's watchdog while the loop turns and the ledger answers, if it wants that."""
+def _watchdog(cell: Cell, ledger: Ledger) -> tuple[Coroutine[Any, Any, None], ...]:
+    """Return what feeds the supervisor's watchdog, if it wants that."""
     interval_s = watchdog_interval_s()
-    return () if interval_s is None else (_feed(ledger, interval_s),)
-
-
-async def _feed(ledger: Ledger, interval_s: float) -> None:
-    while True:
-        try:
-            async with asyncio.timeout(ALIVE_TIMEOUT_S):
-                await ledger.run(lambda file: file.counters())
-        except TimeoutError:
-            _log.exception("the ledger does not answer; the watchdog is not fed")
-        else:
-            notify("WATCHDOG=1")
-        await asyncio.sleep(interval_s)
+    return () if interval_s is None else (feed(cell, ledger, interval_s),)

@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,14 +83,17 @@ class ConfiguredCell:
         return self.slabcell("run", "--config", str(self.config))
 
     @contextmanager
-    def daemon(self, **environment: str) -> Iterator[Daemon]:
-        """Run the daemon."""
+    def daemon(
+        self, *, limits: Sequence[str] = (), pass_fds: Sequence[int] = (), **environment: str
+    ) -> Iterator[Daemon]:
+        """Run the daemon, behind the words of ``limits``."""
         log = (self.folder / "daemon.log").open("a")
         process = subprocess.Popen(
-            [*SLABCELL, "run", "--config", str(self.config)],
+            [*limits, *SLABCELL, "run", "--config", str(self.config)],
             stdout=subprocess.PIPE,
             stderr=log,
             text=True,
+            pass_fds=tuple(pass_fds),
             env={**os.environ, "PYTHONUNBUFFERED": "1", **environment},
         )
         try:
