@@ -37,5 +37,6 @@ def find_charuco(grey: Grey, board: Board) -> Found | None:
         return None  # corners on one line tell nothing
     # The window may reach as far as the markers in the white squares, not into them.
     gap = (board.pitch_mm - board.marker_mm) / 2.0 / board.pitch_mm
-    variants = refine_corners(grey, pixels, step_px(points, pixels, board.pitch_mm), widest=0.95 * gap)
-    return Found(indices, variants)
+    step = step_px(points, pixels, board.pitch_mm)
+    kept, variants = refine_corners(grey, points, pixels, step, widest=0.95 * gap)
+    return Found(indices[kept], variants) if len(kept) >= MIN_POINTS else None

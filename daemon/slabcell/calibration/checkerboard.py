@@ -16,39 +16,57 @@ REDUCED_SIDE = 960
 """Long side in pixels of the picture that is searched first."""
 MAX_SEARCH_SIDE = 2600
 """Long side in pixels above which a picture is never searched unreduced."""
+MIN_SHARE = 0.7
+"""Of the corners that must be found for sure; with fewer something else is wrong."""
 SECTOR_SEARCH_SIDE = 1300
 """Long side in pixels of the picture that is searched last, with the slow method."""
 
 
 def find_checkerboard(grey: Grey, board: Board) -> Found | None:
-    """Return all inner corners; None if the board is not seen whole."""
+    """Return the inner corners, without a few that are covered; None if the board is not seen whole."""
     columns, rows = board.grid
     coarse = _search(grey, columns, rows)
     if coarse is None:
         return None
     corners = number_grid(grey, coarse.reshape(rows, columns, 2)).reshape(-1, 2)
-    variants = refine_corners(grey, corners, step_px(board.points, corners, board.pitch_mm))
+    kept, variants = refine_corners(grey, board.points, corners, step_px(board.points, corners, board.pitch_mm))
+    if len(kept) < MIN_SHARE * len(corners):
+        return None
     note = (
         "its squares are so small that the sub-pixel search has next to nothing to go by"
         if variants[0][0] <= MIN_WINDOW
         else ""
     )
-    return Found(np.arange(columns * rows), variants, note)
+    return Found(kept, variants, note)
 
 
 def _search(grey: Grey, columns: int, rows: int) -> Points | None:
-    side = max(grey.shape)
-    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-    searches = [(REDUCED_SIDE, cv2.CALIB_CB_FAST_CHECK), (REDUCED_SIDE, 0)]
-    if side > REDUCED_SIDE:
-        searches.insert(1, (MAX_SEARCH_SIDE, cv2.CALIB_CB_FAST_CHECK))
-    for target, extra in searches:
-        small, scale = _reduced(grey, target)
-        found, corners = cv2.findChessboardCorners(small, (columns, rows), flags=flags | extra)
-        if found:
-            return _enlarged(np.asarray(corners, np.float64).reshape(-1, 2), scale)
+    size = (columns, rows)
+    # The search by squares first, which is the fastest by far where the board is plain to see.  The one by sectors
+    # needs no light margin, and bears noise and covered corners.
+    attempts = (
+        lambda: _by_squares(grey, size, REDUCED_SIDE, cv2.CALIB_CB_FAST_CHECK),
+        lambda: _by_sectors(grey, size, 0),
+        lambda: _by_sectors(grey, size, cv2.CALIB_CB_NORMALIZE_IMAGE),
+        lambda: _by_sectors(grey, size, cv2.CALIB_CB_EXHAUSTIVE),
+        lambda: _by_squares(grey, size, MAX_SEARCH_SIDE, cv2.CALIB_CB_FAST_CHECK),
+        lambda: _by_squares(grey, size, REDUCED_SIDE, 0),
+    )
+    return next((corners for attempt in attempts if (corners := attempt()) is not None), None)
+
+
+def _by_squares(grey: Grey, size: tuple[int, int], side: int, extra: int) -> Points | None:
+    if side > REDUCED_SIDE >= max(grey.shape):
+        return None  # that picture was searched already
+    small, scale = _reduced(grey, side)
+    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | extra
+    found, corners = cv2.findChessboardCorners(small, size, flags=flags)
+    return _enlarged(np.asarray(corners, np.float64).reshape(-1, 2), scale) if found else None
+
+
+def _by_sectors(grey: Grey, size: tuple[int, int], flags: int) -> Points | None:
     small, scale = _reduced(grey, SECTOR_SEARCH_SIDE)
-    found, corners = cv2.findChessboardCornersSB(small, (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+    found, corners = cv2.findChessboardCornersSB(small, size, flags=flags)
     return _enlarged(np.asarray(corners, np.float64).reshape(-1, 2), scale) if found else None
 
 

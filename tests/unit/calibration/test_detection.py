@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -38,8 +39,50 @@ def test_a_board_that_looks_the_same_after_half_a_turn_starts_at_the_left(lab):
 def test_the_windows_of_the_refinement_follow_the_squares(lab):
     grid = 40 + np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0)), axis=-1).reshape(-1, 2)
     grey = np.zeros((200, 200), np.uint8)
-    widths = [[window for window, _ in refine_corners(grey, grid, step)] for step in (6.0, 12.0, 24.0, 60.0)]
+    board = np.column_stack([grid, np.zeros(len(grid))])
+    widths = [[window for window, _ in refine_corners(grey, board, grid, step)[1]] for step in (6.0, 12.0, 24.0, 60.0)]
     assert widths == [[2], [5, 3, 2], [10, 7, 4, 3], [15, 12, 8]]
+
+
+def test_covered_corners_are_exact_or_left_out(lab):
+    view = lab.looking_down(5.0, -10.0, 10.0, (18.0, -12.0), 800.0)
+    picture = lab.render_checkerboard(lab.BOARD, view)
+    for u, v in view.project(lab.BOARD.points[[14, 50, 73]]):
+        cv2.circle(picture, (round(u) + 5, round(v) - 4), 12, 120, cv2.FILLED)
+    detection = detect_board(picture, lab.BOARD, "view")
+    assert 100 <= len(detection.indices) <= 108
+    assert errors(detection, view).max() < 0.3
+
+
+@pytest.mark.parametrize("table", [30, 110, 215], ids=["dark", "grey", "light"])
+def test_a_board_without_a_margin_is_found_on_any_table(lab, table):
+    view = lab.looking_down(5.0, -10.0, 10.0, (18.0, -12.0), 800.0)
+    at = view.board_at_pixels() / lab.BOARD.pitch_mm
+    i, j = np.floor(at[..., 0]).astype(int), np.floor(at[..., 1]).astype(int)
+    grey = np.full(at.shape[:2], table, np.float32)
+    on = (i >= -1) & (j >= -1) & (i < lab.BOARD.columns) & (j < lab.BOARD.rows)
+    grey[on] = np.where((i + j) % 2 == 0, 35, 215)[on]
+    picture = cv2.GaussianBlur(cv2.resize(grey, view.size, interpolation=cv2.INTER_AREA), (0, 0), 0.7)
+    detection = detect_board(picture.round().astype(np.uint8), lab.BOARD, "view")
+    assert len(detection.indices) == 108
+    assert errors(detection, view).max() < 0.2
+
+
+def test_a_corner_that_jumps_to_the_boards_rim_is_taken_back(lab):
+    # Beside the first corner the outer squares are cut to a third: a wide window finds their outer corner instead.
+    view = lab.looking_down(5.0, -10.0, 10.0, (18.0, -12.0), 800.0)
+    picture = lab.render_checkerboard(lab.BOARD, view)
+    at = cv2.resize(view.board_at_pixels() / lab.BOARD.pitch_mm, view.size, interpolation=cv2.INTER_AREA)
+    cut = ((at[..., 0] < -0.33) | (at[..., 1] < -0.33)) & (at[..., 0] < 0.9) & (at[..., 1] < 0.9)
+    picture[cut] = 215
+    step = float(np.hypot(*(view.project(lab.BOARD.points[:2])[0] - view.project(lab.BOARD.points[:2])[1])))
+    truth = view.project(lab.BOARD.points)
+    (kept, variants), plain = refine_corners(picture, lab.BOARD.points, truth, step), truth.astype(np.float32)
+    window = variants[0][0]
+    plain = cv2.cornerSubPix(picture, plain.copy(), (window, window), (-1, -1), (3, 40, 1e-3))
+    assert np.hypot(*(plain - truth).T).max() > 2.0
+    for _, found in variants:
+        assert np.hypot(*(found - truth[kept]).T).max() < 0.7
 
 
 def test_the_window_with_the_smallest_residual_is_taken_and_at_a_draw_the_widest(lab):
