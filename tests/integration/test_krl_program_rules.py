@@ -452,19 +452,46 @@ def test_reach_is_judged_at_and_above_both_ends_each_in_its_own_base(peer, pick,
     assert bool(robot.gripper.history) is reachable
 
 
-def test_the_arm_leaves_the_slot_straight_up(peer):
-    places = []
+def test_the_arm_goes_straight_down_to_and_straight_up_from_both_ends(peer):
+    places = {0: [], 1: [], 2: []}
 
     def note(event):
-        if event.kind == "path" and len(robot.gripper.history) == 2:
-            places.append(robot.krc.tcp)
+        if event.kind == "path":
+            places[len(robot.gripper.history)].append(robot.krc.tcp)
 
     robot = Robot(peer, trace=note, trace_kinds=frozenset({"path"}))
     assert robot.run().status == "done"
-    slot = PLACE_BASE @ PLACE
-    rising = [tcp for tcp in places if tcp.z_mm < 85.0]
-    assert len(rising) > 5
-    assert max(math.hypot(tcp.x_mm - slot.x_mm, tcp.y_mm - slot.y_mm) for tcp in rising) < 0.1
+    pick, slot = PICK_BASE @ PICK, PLACE_BASE @ PLACE
+
+    def low(tcps):
+        return [tcp for tcp in tcps if tcp.z_mm < 85.0]
+
+    def astray(tcps, end):
+        return max(math.hypot(tcp.x_mm - end.x_mm, tcp.y_mm - end.y_mm) for tcp in tcps)
+
+    down, carried, up = low(places[0]), low(places[1]), low(places[2])
+    half = next(i for i, tcp in enumerate(carried) if astray([tcp], pick) > 1.0)
+    for tcps, end in ((down, pick), (carried[:half], pick), (carried[half:], slot), (up, slot)):
+        assert len(tcps) > 5
+        assert astray(tcps, end) < 0.1
+    assert min(tcp.z_mm for tcps in places.values() for tcp in tcps) > 9.9
+
+
+def test_vacuum_that_comes_and_goes_slowly_is_waited_for(peer):
+    due = []
+
+    def late(index, value, _tcp):
+        if index == 1:
+            due.append((robot.krc.virtual_time_s + 0.4, value))
+
+    def note(event):
+        while due and event.time_s >= due[0][0]:
+            robot.krc.set_input(1, due.pop(0)[1])
+
+    robot = Robot(peer, trace=note, trace_kinds=frozenset({"statement"}))
+    robot.gripper.output_changed = late
+    assert (robot.run().status, robot.texts) == ("done", ["Job complete: every slot is filled"])
+    assert peer.acks()[-1] == (101, AckState.PLACED)
 
 
 def test_a_gripper_that_does_not_let_go_is_named(peer):

@@ -56,7 +56,7 @@ SLOTS = tuple(Polygon.from_points([(x, 0), (x + 35, 0), (x + 35, 35), (x, 35)]) 
 
 NORMAL_TELEGRAMS = 16
 """Telegrams each way of a job of three slabs without a fault."""
-NORMAL_STATEMENTS = 3650
+NORMAL_STATEMENTS = 3790
 """Statements of the same job."""
 MAX_LIVES = 8
 """How often the robot may be started in one run of the test."""

@@ -91,7 +91,8 @@ def _check_module(module: Module, project: Project, scope: ModuleScope, *, has_c
         yield error(
             first.place, "first-def", f"the first routine is {first.name}; it has to have the file's name, {stem}"
         )
-    if module.data is not None and module.data.name != stem:
+    # $OPERATE stands in operate.dat, as other data lists of the system do in files without the $
+    if module.data is not None and module.data.name.lstrip("$") != stem.lstrip("$"):
         yield error(module.data.place, "data-name", f"the data list is {module.data.name}; the file is {stem}")
     names = Counter(routine.name for routine in module.routines)
     for routine in module.routines:

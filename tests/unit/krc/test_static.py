@@ -162,6 +162,11 @@ def test_an_argument_that_the_parameter_can_take_is_none(call):
     assert [f for f in found(program(call, TYPED) + TAKERS) if f[1] == "error"] == []
 
 
+def test_data_lists_of_the_system_may_stand_in_files_without_their_dollar():
+    assert found("DEF t()\nEND\n", operate_dat="DEFDAT $OPERATE PUBLIC\nENDDAT\n") == []
+    assert found("DEF t()\nEND\n", other_dat="DEFDAT another\nENDDAT\n") == [(1, "error", "data-name")]
+
+
 def test_names_have_24_characters_at_most_and_no_digit_first():
     assert found("DEF t()\nINT abcdefghijklmnopqrstuvwx\nEND\n") == []
     assert found("DEF t()\nINT abcdefghijklmnopqrstuvwxy\nEND\n") == [(2, "error", "name-length")]
