@@ -19,7 +19,11 @@ RIM_POINTS = 32
 
 
 def find_circles(grey: Grey, board: Board) -> Found | None:
-    """Return the centres of all circles of the grid; None if it is not found whole."""
+    """Return the centres of all circles of the grid, dark on light or light on dark; None if it is not found whole."""
+    return _find_dark(grey, board) or _find_dark(np.asarray(cv2.bitwise_not(grey), np.uint8), board)
+
+
+def _find_dark(grey: Grey, board: Board) -> Found | None:
     detector = _disc_detector(grey)
     flags = cv2.CALIB_CB_ASYMMETRIC_GRID
     for extra in (0, cv2.CALIB_CB_CLUSTERING):

@@ -148,9 +148,9 @@ def detect_boards(
 
 
 _HINTS = {
-    "checkerboard": "the whole board must be visible and sharp, with a light margin of one square around it",
+    "checkerboard": "the whole board must be visible and sharp, best with a light margin of one square around it",
     "charuco": "at least six of its corners must be visible and sharp, and dictionary and marker size must be right",
-    "circles": "all circles must be visible, dark on light and sharp",
+    "circles": "all circles must be visible and sharp",
 }
 
 

@@ -124,3 +124,20 @@ def test_discs_give_the_lens_without_the_bias_that_perspective_puts_on_their_cen
     result = calibrate_camera(detections, CIRCLES)
     assert abs(result.calibration.lens.matrix[0, 0] - lab.MATRIX[0, 0]) < 4.0 * result.std["fx"]
     assert result.rms_px < 0.035
+
+
+def test_a_faint_or_inverted_charuco_board_is_found_as_well(lab):
+    view = lab.looking_down(0.0, 5.0, 10.0, (15.0, -10.0), 800.0)
+    picture = render_charuco(lab, CHARUCO, view)
+    faint = np.round(100.0 + (picture.astype(float) - 100.0) * 0.12).astype(np.uint8)
+    for shown in (faint, 255 - picture):
+        detection = detect_board(shown, CHARUCO, "view")
+        assert len(detection.pixels) > 80
+        assert np.median(errors(detection, view)) < 0.1
+
+
+def test_light_circles_on_a_dark_board_are_found_as_well(lab):
+    view = lab.looking_down(0.0, 5.0, 10.0, (15.0, -10.0), 800.0)
+    picture = render_circles(lab, CIRCLES, view)
+    dark, light = detect_board(picture, CIRCLES, "dark"), detect_board(255 - picture, CIRCLES, "light")
+    assert np.abs(dark.pixels - light.pixels).max() < 0.02
