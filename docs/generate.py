@@ -10,11 +10,17 @@ import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
 from slabcell.catalogue import Clears, Entry, catalogue
 from slabcell.cell.reconcile import Decision, reconcile
 from slabcell.cell.records import STEPS, OfferState
 from slabcell.cell.states import TABLE, CellState, HeldCause, SuspendedCause
+from slabcell.recipe import RecipeFile
 from slabcell.service.api.app import ENDPOINTS, description
+from slabcell.service.config import CellConfig, FrameConfig
+from slabcell.service.config_reload import is_reloadable
 from slabcell.service.event_feed import KINDS
 from slabcell_drivers.robot.protocol import AckState
 
@@ -26,6 +32,7 @@ NOTE = "<!-- Drawn from the code by docs/generate.py: change the code, then run 
 def pages() -> dict[Path, str]:
     """Return every generated page by its path."""
     architecture = DOCS / "explanation" / "architecture.md"
+    configuration = DOCS / "reference" / "configuration.md"
     control_api = DOCS / "reference" / "control-api.md"
     return {
         DOCS / "reference" / "states.md": states_page(),
@@ -34,7 +41,10 @@ def pages() -> dict[Path, str]:
         DOCS / "reference" / "faults.md": faults_page(),
         architecture: _between_marks(architecture.read_text(encoding="utf-8"), "states", state_diagram()),
         control_api: _between_marks(control_api.read_text(encoding="utf-8"), "resources", resources_table()),
-        DOCS / "reference" / "control-api.json": json.dumps(description(), indent=1, ensure_ascii=False) + "\n",
+        configuration: _between_marks(configuration.read_text(encoding="utf-8"), "keys", config_table(CellConfig)),
+        DOCS / "reference" / "cell-config.schema.json": _json(CellConfig.model_json_schema()),
+        DOCS / "reference" / "recipe.schema.json": _json(RecipeFile.model_json_schema()),
+        DOCS / "reference" / "control-api.json": _json(description()),
     }
 
 
@@ -181,6 +191,35 @@ def resources_table() -> str:
     kinds = [f"| `{kind}` | {words} |" for kind, words in KINDS.items()]
     resources = ["| request | what it is | answer |", "| --- | --- | --- |", *rows, ""]
     return "\n".join([*resources, "| event | when |", "| --- | --- |", *kinds, ""])
+
+
+def config_table(model: type[BaseModel]) -> str:
+    """Return every key of the configuration as a table: default, limits, what it is, and when a change counts."""
+    lines = ["| key | default | limits | what it is | a change counts |", "| --- | --- | --- | --- | --- |"]
+    for key, field in _config_keys(model, ""):
+        default = "required" if field.is_required() else f"`{json.dumps(field.get_default(), default=str)}`"
+        limits = ", ".join(sorted(_limit(item) for item in field.metadata if _limit(item)))
+        when = "at a reload" if is_reloadable(key) else "at a restart"
+        lines.append(f"| `{key}` | {default} | {limits} | {field.description or ''} | {when} |")
+    return "\n".join([*lines, ""])
+
+
+def _config_keys(model: type[BaseModel], above: str) -> Iterable[tuple[str, FieldInfo]]:
+    for name, field in model.model_fields.items():
+        inner = field.annotation
+        if isinstance(inner, type) and issubclass(inner, BaseModel) and inner is not FrameConfig:
+            yield from _config_keys(inner, f"{above}{name}.")
+        else:
+            yield f"{above}{name}", field
+
+
+def _limit(item: object) -> str:
+    signs = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<", "min_length": "length ≥", "max_length": "length ≤"}
+    return next((f"{sign} {getattr(item, name)}" for name, sign in signs.items() if hasattr(item, name)), "")
+
+
+def _json(document: dict[str, object]) -> str:
+    return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
 
 
 def _answer(answer: type | str) -> str:

@@ -1,21 +1,24 @@
 """How is a TOML file that a person wrote turned into checked values, and what is said when it is wrong?
 
-Used by recipes and the cell's configuration.  Unknown keys are errors that name the file, the key and the nearest
-known one.
+Used by recipes and the cell's configuration.  Unknown keys are errors that name the file, the line, the key and the
+nearest known one.
 """
 
 import difflib
 import tomllib
 import types
 import typing
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from slabcell.errors import ConfigurationError
+from slabcell.toml_lines import KeyPath, key_lines
 
-__all__ = ["TomlTable", "read_toml"]
+__all__ = ["TomlDocument", "TomlTable", "check", "read_document", "read_toml"]
 
 MAX_BYTES = 1 << 20
 
@@ -29,11 +32,34 @@ class TomlTable(BaseModel):
 Model = TypeVar("Model", bound=BaseModel)
 
 
+@dataclass(frozen=True, slots=True)
+class TomlDocument:
+    """What a file says, not yet checked, and on which line each of its keys stands."""
+
+    path: Path
+    content: dict[str, Any]
+    lines: dict[KeyPath, int]
+
+    def place(self, location: KeyPath) -> str:
+        """Return file and line of a key, or of the innermost table around it that is written there."""
+        for length in range(len(location), 0, -1):
+            line = self.lines.get(location[:length])
+            if line is not None:
+                return f"{self.path}:{line}"
+        return str(self.path)
+
+
 def read_toml(path: Path, model: type[Model], error_type: type[ConfigurationError]) -> Model:
     """Return the checked content of a TOML file.
 
-    Raises ``error_type`` that names the file and, for each thing that is wrong, key, value and limit.
+    Raises ``error_type`` that names the file and, for each thing that is wrong, line, key, value and limit.
     """
+    document = read_document(path, error_type)
+    return check(document.content, model, error_type, document.place)
+
+
+def read_document(path: Path, error_type: type[ConfigurationError]) -> TomlDocument:
+    """Return what a TOML file says.  Raises ``error_type`` if it cannot be read or is no TOML."""
     try:
         with path.open("rb") as stream:
             raw = stream.read(MAX_BYTES + 1)
@@ -44,7 +70,8 @@ def read_toml(path: Path, model: type[Model], error_type: type[ConfigurationErro
         msg = f"{path}: is larger than {MAX_BYTES >> 20} MiB; this is no such file"
         raise error_type(msg)
     try:
-        return model.model_validate(tomllib.loads(raw.decode("utf-8")))
+        text = raw.decode("utf-8")
+        return TomlDocument(path, tomllib.loads(text), key_lines(text))
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         msg = f"{path}:{line}: holds a byte that is not UTF-8; save the file as UTF-8"
@@ -52,11 +79,22 @@ def read_toml(path: Path, model: type[Model], error_type: type[ConfigurationErro
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         msg = f"{path}: is not TOML: {error}"
         raise error_type(msg) from error
+
+
+def check(
+    content: Mapping[str, Any],
+    model: type[Model],
+    error_type: type[ConfigurationError],
+    place: Callable[[KeyPath], str],
+) -> Model:
+    """Return checked values; ``place`` says where a key is written.  Raises ``error_type``, a line for each fault."""
+    try:
+        return model.model_validate(content)
     except ValidationError as error:
-        raise error_type("\n".join(f"{path}: {line}" for line in _explain(error, model))) from error
+        raise error_type("\n".join(_explain(error, model, place))) from error
 
 
-def _explain(error: ValidationError, model: type[BaseModel]) -> list[str]:
+def _explain(error: ValidationError, model: type[BaseModel], place: Callable[[KeyPath], str]) -> list[str]:
     lines: list[str] = []
     for item in error.errors():
         where = ".".join(str(part) for part in item["loc"])
@@ -64,15 +102,12 @@ def _explain(error: ValidationError, model: type[BaseModel]) -> list[str]:
             known = _keys_at(model, item["loc"][:-1])
             near = difflib.get_close_matches(str(item["loc"][-1]), known, n=1)
             hint = f"did you mean {near[0]!r}?" if near else f"known here: {', '.join(known)}"
-            lines.append(f"unknown key {where!r}: {hint}")
+            fault = f"unknown key {where!r}: {hint}"
         elif item["type"] == "missing":
-            lines.append(f"key {where!r} is missing")
-        elif item["type"] == "value_error":  # of a whole table: the message names the keys
-            text = item["msg"].removeprefix("Value error, ")
-            lines.append(f"[{where}]: {text}" if where else text)
+            fault = f"key {where!r} is missing"
         else:
-            text = item["msg"].replace(" after validation", "")
-            lines.append(f"{where} = {item['input']!r:.60}: {text}")
+            fault = f"{where} = {item['input']!r:.60}: {item['msg']}"
+        lines.append(f"{place(item['loc'])}: {fault}")
     return lines
 
 

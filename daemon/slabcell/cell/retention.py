@@ -14,7 +14,7 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["FAILURE", "Retention", "make_room", "next_number", "prune"]
+__all__ = ["DAY_S", "FAILURE", "Retention", "make_room", "next_number", "prune"]
 
 FAILURE = "failure"
 DAY_S = 86_400.0

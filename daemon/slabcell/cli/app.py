@@ -23,6 +23,7 @@ VERBS: Final[dict[str, tuple[str, str, str]]] = {
     "job": ("slabcell.cli.job", "job_app", "Show jobs, and what became of their slabs."),
     "alarms": ("slabcell.cli.alarms", "alarms_app", "Show alarms, and acknowledge or shelve them."),
     "cell": ("slabcell.cli.cell", "cell_app", "Halt the running cell, have it go on, step, or clear an error."),
+    "config": ("slabcell.cli.config", "config_app", "Check and show the configuration of the cell."),
     "events": ("slabcell.cli.events", "events_command", "Follow what happens in the running cell."),
     "locate": ("slabcell.cli.locate", "locate_command", "Find the slabs on image files, and the slot of each."),
     "calibrate": ("slabcell.cli.calibrate", "calibrate_app", "Make a calibration from images of a board."),

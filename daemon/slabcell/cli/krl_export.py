@@ -12,7 +12,8 @@ from typing import Annotated
 import typer
 
 from slabcell.errors import ConfigurationError, SlabcellError
-from slabcell.service.config import CellConfig, load_config
+from slabcell.service.config import CellConfig
+from slabcell.service.config_layers import load_config
 from slabcell_drivers.robot.eki.export import ExportError, ExportSettings, export_files
 from slabcell_drivers.robot.eki.schema import CHANNEL
 

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import AsyncGenerator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from slabcell.calibration import Calibration
+from slabcell.calibration import Calibration, load_calibration
 from slabcell.cell.bundle_store import BundleWriter
 from slabcell.cell.cell import Cell
 from slabcell.cell.ledger import Ledger
+from slabcell.cell.retention import DAY_S, Retention
 from slabcell.cell.settings import CellSettings
+from slabcell.errors import ConfigurationError
 from slabcell.geometry import Polygon
-from slabcell.recipe import Recipe
+from slabcell.recipe import Recipe, load_recipe
 from slabcell.service.config import CellConfig
 from slabcell_drivers.camera import Camera
-from slabcell_drivers.robot.arm import ArmModel
+from slabcell_drivers.robot.arm import ArmModel, arm_by_name
 
-__all__ = ["CellParts", "cell_settings", "open_cell"]
+__all__ = ["CellParts", "cell_settings", "open_cell", "read_parts", "retention"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +31,7 @@ class CellParts:
     recipe: Recipe
     arm: ArmModel
     settings: CellSettings
+    retention: Retention = field(default_factory=Retention)
 
 
 def cell_settings(config: CellConfig) -> CellSettings:
@@ -38,7 +41,47 @@ def cell_settings(config: CellConfig) -> CellSettings:
         place_base=config.robot.place_base.to_frame(),
         tool=config.robot.tool.to_frame(),
         pick_area=Polygon.from_points(config.table.pick_area),
+        forbidden=tuple(Polygon.from_points(zone) for zone in config.table.forbidden),
+        gripper_radius_mm=config.robot.gripper_radius_mm,
+        approach_mm=config.robot.krl.approach_mm,
+        tolerance_mm=config.verification.tolerance_mm,
+        tolerance_deg=config.verification.tolerance_deg,
+        attempts_per_slot=config.planning.attempts_per_slot,
+        check_assembly_is_empty=config.verification.check_assembly_is_empty,
+        correct_systematic=config.verification.correct_systematic,
         camera_timeout_s=config.camera.timeout_s,
+        vision_timeout_s=config.planning.vision_timeout_s,
+    )
+
+
+def retention(config: CellConfig) -> Retention:
+    """Return for how long bundles are kept."""
+    limits = config.bundles
+    return Retention(
+        max_bytes=limits.max_mib << 20,
+        max_age_s=limits.max_days * DAY_S,
+        failures_max_bytes=limits.failures_max_mib << 20,
+        failures_max_age_s=limits.failures_max_days * DAY_S,
+        min_free_bytes=limits.min_free_mib << 20,
+    )
+
+
+def read_parts(config: CellConfig, path: Path) -> CellParts:
+    """Return what the files of a configuration say; ``path`` is its own, for messages.
+
+    Raises ConfigurationError, CalibrationError, RecipeError or TemplateError.
+    """
+    if config.calibration is None:
+        msg = f"{path}: calibration is missing: make one with `slabcell calibrate camera` and `plane`, and name it here"
+        raise ConfigurationError(msg)
+    calibration = load_calibration(config.calibration)
+    calibration.require_plane()
+    return CellParts(
+        calibration,
+        load_recipe(config.recipe),
+        arm_by_name(config.robot.model),
+        cell_settings(config),
+        retention(config),
     )
 
 
@@ -57,7 +100,7 @@ async def open_cell(parts: CellParts, camera: Camera, folder: Path) -> AsyncGene
             arm=parts.arm,
             settings=parts.settings,
             ledger=ledger,
-            bundles=BundleWriter(folder / "bundles"),
+            bundles=BundleWriter(folder / "bundles", retention=parts.retention),
         )
         await cell.start()
         try:

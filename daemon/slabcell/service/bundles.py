@@ -13,7 +13,7 @@ from slabcell.cell.bundle_file import BundleError
 __all__ = ["BundleShelf"]
 
 MAX_MEMBER_BYTES: Final = 256 << 20
-_NAME: Final = re.compile(r"[0-9TZ.]+_[A-Za-z0-9_-]+\.zip")
+_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{1,160}\.zip")
 MEMBERS: Final = {
     "frame.png": "image/png",
     "result.json": "application/json",

@@ -1,6 +1,7 @@
 """What is this cell made of?  Its configuration: camera, robot, table, files; one TOML file, `cell.toml`.
 
-Configuration is of one cell; a calibration is of one camera in one place; a recipe is of one product.
+Configuration is of one cell; a calibration is of one camera in one place; a recipe is of one product.  How files,
+drop-ins and environment become one configuration is in `config_layers`.
 """
 
 from __future__ import annotations
@@ -10,21 +11,22 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from slabcell.errors import ConfigurationError
 from slabcell.service.krl_config import KrlConfig
-from slabcell.toml_file import TomlTable, read_toml
+from slabcell.toml_file import TomlTable
 from slabcell_drivers.camera.settings import CameraSettings
 from slabcell_drivers.robot import Frame
 
 __all__ = [
     "ApiConfig",
+    "BundlesConfig",
     "CameraConfig",
     "CellConfig",
     "EkiConfig",
     "FrameConfig",
+    "PlanningConfig",
     "RobotConfig",
     "TableConfig",
-    "load_config",
+    "VerificationConfig",
 ]
 
 Millimetres = Annotated[float, Field(ge=-20_000, le=20_000)]
@@ -115,6 +117,9 @@ class RobotConfig(TomlTable):
     eki: EkiConfig = EkiConfig()
     krl: KrlConfig = KrlConfig()
     tool: FrameConfig = Field(description="TOOL_DATA of the suction cup: flange to cup")
+    gripper_radius_mm: Annotated[float, Field(gt=0, le=1000)] = Field(
+        default=10.0, description="of what is lowered beside other slabs"
+    )
     pick_base: FrameConfig = Field(description="BASE_DATA of the table, in the robot's root frame")
     place_base: FrameConfig = Field(description="BASE_DATA of the assembly, in the robot's root frame")
 
@@ -123,6 +128,49 @@ class TableConfig(TomlTable):
     """``[table]``: where slabs are looked for."""
 
     pick_area: list[Point] = Field(min_length=3, max_length=100, description="polygon in table coordinates, mm")
+    forbidden: list[Annotated[list[Point], Field(min_length=3, max_length=100)]] = Field(
+        default=[],
+        max_length=50,
+        description="polygons in table coordinates into which neither tool nor slab is lowered, mm",
+    )
+
+
+class PlanningConfig(TomlTable):
+    """``[planning]``: what is tried, and for how long."""
+
+    attempts_per_slot: Annotated[int, Field(ge=1, le=100)] = Field(
+        default=3, description="after so many failures a slot is left out until a person has looked"
+    )
+    vision_timeout_s: Seconds = Field(default=10.0, description="a picture that takes longer gives no result")
+
+
+class VerificationConfig(TomlTable):
+    """``[verification]``: how laid slabs must lie."""
+
+    tolerance_mm: Annotated[float, Field(gt=0, le=100)] = Field(
+        default=0.5, description="largest offset in x or y before alarm 1901 comes"
+    )
+    tolerance_deg: Annotated[float, Field(gt=0, le=180)] = Field(default=0.5, description="the same for the angle")
+    check_assembly_is_empty: bool = Field(
+        default=True, description="before a job begins, see that nothing lies in its slots"
+    )
+    correct_systematic: bool = Field(
+        default=False, description="lay a job the other way by what the last one was off as a whole"
+    )
+
+
+class BundlesConfig(TomlTable):
+    """``[bundles]``: for how long cycles are kept."""
+
+    max_mib: Annotated[int, Field(ge=0, le=1 << 24)] = Field(default=4096, description="of cycles that went well")
+    max_days: Annotated[float, Field(gt=0, le=36_500)] = Field(default=30.0, description="of cycles that went well")
+    failures_max_mib: Annotated[int, Field(ge=0, le=1 << 24)] = Field(default=4096, description="of those that failed")
+    failures_max_days: Annotated[float, Field(gt=0, le=36_500)] = Field(
+        default=365.0, description="of those that failed"
+    )
+    min_free_mib: Annotated[int, Field(ge=0, le=1 << 24)] = Field(
+        default=512, description="with less room on the disk nothing is kept"
+    )
 
 
 class ApiConfig(TomlTable):
@@ -152,19 +200,7 @@ class CellConfig(TomlTable):
     camera: CameraConfig
     robot: RobotConfig
     table: TableConfig
+    planning: PlanningConfig = PlanningConfig()
+    verification: VerificationConfig = VerificationConfig()
+    bundles: BundlesConfig = BundlesConfig()
     api: ApiConfig = ApiConfig()
-
-
-def load_config(path: Path) -> CellConfig:
-    """Return the checked configuration; files named in it are taken relative to it.  Raises ConfigurationError."""
-    config = read_toml(path, CellConfig, ConfigurationError)
-    here = path.parent
-    return config.model_copy(
-        update={
-            "recipe": here / config.recipe,
-            "calibration": here / config.calibration if config.calibration else None,
-            "camera": config.camera.model_copy(
-                update={"images": here / config.camera.images if config.camera.images else None}
-            ),
-        }
-    )

@@ -11,26 +11,26 @@ import contextlib
 import secrets
 import signal
 import time
-from collections.abc import AsyncGenerator, Callable, Coroutine, Generator
+from collections.abc import AsyncGenerator, Callable, Coroutine, Generator, Mapping
 from pathlib import Path
 from typing import Any
 
 import structlog
 
-from slabcell.calibration import load_calibration
 from slabcell.cell.cell import Cell
 from slabcell.cell.ledger import Ledger
-from slabcell.errors import ConfigurationError, UnavailableError
-from slabcell.recipe import load_recipe
+from slabcell.errors import UnavailableError
 from slabcell.service.api.app import make_app
 from slabcell.service.api.context import ApiContext
 from slabcell.service.api.ring import EventRing
 from slabcell.service.api.server import listen, serve
 from slabcell.service.api.stream import StreamSeats
-from slabcell.service.builder import CellParts, cell_settings, open_cell
+from slabcell.service.builder import CellParts, open_cell, read_parts
 from slabcell.service.bundles import BundleShelf
 from slabcell.service.camera_keeper import CameraKeeper
-from slabcell.service.config import CellConfig, load_config
+from slabcell.service.config import CellConfig
+from slabcell.service.config_layers import load_config
+from slabcell.service.config_reload import Reloader
 from slabcell.service.devices import InstanceLock, api_socket, make_camera, state_directory
 from slabcell.service.disk_watch import DiskWatch
 from slabcell.service.event_feed import EventFeed
@@ -41,7 +41,6 @@ from slabcell.service.links import Links
 from slabcell.service.notify import notify, watchdog_interval_s
 from slabcell.service.robot_watch import RobotWatch
 from slabcell.service.watchdog import feed
-from slabcell_drivers.robot.arm import arm_by_name
 from slabcell_drivers.robot.eki.client import EkiClient
 from slabcell_drivers.robot.eki.link import EkiServer
 
@@ -60,44 +59,44 @@ async def run_daemon(path: Path, *, ready: Callable[[tuple[str, int]], None] | N
     (the address is taken) before anything runs.
     """
     config = load_config(path)
-    parts = _parts(config, path)
+    parts = read_parts(config, path)
     folder = state_directory(config.state_directory)
-    stopping = asyncio.Event()
-    with _signals(stopping), InstanceLock(folder):
+    stopping, reload = asyncio.Event(), asyncio.Event()
+    with _signals({signal.SIGTERM: stopping, signal.SIGINT: stopping, signal.SIGHUP: reload}), InstanceLock(folder):
         async with _running(config, parts, folder) as (context, address, ledger):
             recipe = context.cell.recipe.name
             _log.info("ready", cell=config.name, recipe=recipe, robot=f"{address[0]}:{address[1]}")
             if ready is not None:
                 ready(address)
             notify(f"READY=1\nSTATUS=recipe {recipe}, waiting for the robot")
-            async with _beside(*_watchdog(context.cell, ledger)):
+            reloader = Reloader(path, config, context.cell, context.pending_reload, context.tell_config)
+            async with _beside(_reloading(reload, reloader), *_watchdog(context.cell, ledger)):
                 await stopping.wait()
             notify("STOPPING=1")
             _log.info("stopping")
 
 
-def _parts(config: CellConfig, path: Path) -> CellParts:
-    if config.calibration is None:
-        msg = f"{path}: calibration is missing: make one with `slabcell calibrate camera` and `plane`, and name it here"
-        raise ConfigurationError(msg)
-    return CellParts(
-        load_calibration(config.calibration),
-        load_recipe(config.recipe),
-        arm_by_name(config.robot.model),
-        cell_settings(config),
-    )
-
-
 @contextlib.contextmanager
-def _signals(stopping: asyncio.Event) -> Generator[None]:
+def _signals(events: Mapping[signal.Signals, asyncio.Event]) -> Generator[None]:
+    """Have each signal set its event, from the first moment to the last."""
     loop = asyncio.get_running_loop()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, stopping.set)
+    for number, event in events.items():
+        loop.add_signal_handler(number, event.set)
     try:
         yield
     finally:
-        for number in (signal.SIGTERM, signal.SIGINT):
+        for number in events:
             loop.remove_signal_handler(number)
+
+
+async def _reloading(wanted: asyncio.Event, reloader: Reloader) -> None:
+    """Read the configuration anew each time it is wanted; the supervisor is told when it begins and ends."""
+    while True:
+        await wanted.wait()
+        wanted.clear()
+        notify(f"RELOADING=1\nMONOTONIC_USEC={time.monotonic_ns() // 1000}")
+        await reloader.reload()
+        notify("READY=1")
 
 
 @contextlib.asynccontextmanager
@@ -132,6 +131,7 @@ async def _running(
             seats=StreamSeats(config.api.event_clients),
             frames=frames,
             bundles=BundleShelf(folder / "bundles"),
+            tell_config=lambda content: feed.add("config", content),
         )
         keeper = CameraKeeper(camera, cell, links, lambda: cell.calibration)
         disk = DiskWatch(folder, cell.alarms, links)

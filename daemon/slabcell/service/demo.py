@@ -30,7 +30,8 @@ from slabcell.cell.settings import CellSettings
 from slabcell.errors import ConfigurationError, SlabcellError, UsageError
 from slabcell.geometry import Polygon
 from slabcell.recipe import Recipe, load_recipe
-from slabcell.service.config import CellConfig, load_config
+from slabcell.service.config import CellConfig
+from slabcell.service.config_layers import load_config
 from slabcell.service.demo_camera import DemoCamera, demo_camera
 from slabcell.service.simulated import SimulatedCell, calibrate_from_boards
 from slabcell.vision.overlay import draw_overlay

@@ -1,5 +1,6 @@
 """The daemon as systemd and the robot see it: a process, a real camera driver, the shipped robot programs."""
 
+import signal
 import socket
 from pathlib import Path
 
@@ -98,3 +99,35 @@ def test_a_camera_that_is_not_there_is_waited_for_and_the_robot_is_told(cell) ->
         assert any("1101" in str(message) for message in controller.messages)
         assert daemon.stop() == 0
     assert not cell.world.world.events
+
+
+def test_a_reload_takes_over_what_may_be_and_names_the_rest(cell) -> None:
+    with cell.daemon() as daemon:
+        cell.wait_for_log("camera open")
+        status = daemon.client.get("/v1/status")
+        events = daemon.client.events(kinds=["config"], after=status["event"])
+        cell.config.write_text(cell.config.read_text() + "\n[verification]\ntolerance_mm = 0.001\n")
+        cell.edit('name = "test"', 'name = "other"')
+        daemon.process.send_signal(signal.SIGHUP)
+        told = next(events).data
+        assert told == {"reloaded": ["verification.tolerance_mm"], "pending": ["name"], "error": None}
+        assert daemon.client.get("/v1/status")["pending_reload"] == ["name"]
+        cell.edit("tolerance_mm = 0.001", "tolerance_mm = 0.002\nnonsense = 1")
+        daemon.process.send_signal(signal.SIGHUP)
+        assert "unknown key 'verification.nonsense'" in next(events).data["error"]
+        events.close()
+        with cell.world.controller(daemon.address, seed=1) as controller:
+            assert controller.run("SlabCell", max_wall_s=LIMIT_S).status == "done"
+        assert 1901 in [alarm["number"] for alarm in daemon.client.get("/v1/alarms")["alarms"]]
+
+
+def test_the_configuration_is_checked_and_shown_with_its_origins(cell) -> None:
+    right = cell.slabcell("config", "check", "--config", str(cell.config))
+    assert "recipe dresden with 5 slots" in right.stdout
+    shown = cell.slabcell("config", "show", "--origin", "--config", str(cell.config), SLABCELL__NAME="mine")
+    assert "$SLABCELL__NAME" in shown.stdout
+    cell.edit("timeout_s = 20.0", "timout_s = 20.0")
+    wrong = cell.slabcell("config", "check", "--config", str(cell.config))
+    assert wrong.returncode == 78
+    assert "did you mean 'timeout_s'?" in wrong.stderr
+    assert '"title": "CellConfig"' in cell.slabcell("config", "schema").stdout

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 from slabcell.cell.cell import Cell
 from slabcell.service.api.ring import EventRing
@@ -32,4 +34,5 @@ class ApiContext:
     seats: StreamSeats
     frames: FrameStore
     bundles: BundleShelf
+    tell_config: Callable[[dict[str, Any]], None] = lambda _: None
     pending_reload: list[str] = field(default_factory=list[str])
