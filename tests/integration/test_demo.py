@@ -57,6 +57,21 @@ def test_the_demo_looks_through_a_real_driver(camera: str, tmp_path: Path) -> No
     assert_laid(json.loads(done.stdout))
 
 
+def test_over_modbus_the_slabs_lie_where_they_lie_over_eki(tmp_path: Path) -> None:
+    laid: dict[str, list[dict[str, float]]] = {}
+    for link in ("eki", "modbus-tcp", "modbus-rtu"):
+        done = demo("--link", link, "--seed", "4", "--json", "--out", tmp_path / link)
+        assert done.returncode == 0, done.stderr
+        document = json.loads(done.stdout)
+        assert_laid(document)
+        assert document["link"] == link
+        laid[link] = document["slots"]
+    for link in ("modbus-tcp", "modbus-rtu"):
+        for over_eki, over_modbus in zip(laid["eki"], laid[link], strict=True):
+            for error in ("dx_mm", "dy_mm", "dtheta_deg"):
+                assert over_modbus[error] == pytest.approx(over_eki[error], abs=0.001)  # what both links round to
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("scene", SCENES)

@@ -29,6 +29,7 @@ from slabcell_drivers.camera.protocol import (
     CameraIncomplete,
     CameraLost,
     CameraTimeout,
+    CameraUnlit,
     ImageFrame,
 )
 
@@ -42,6 +43,7 @@ _CAMERA_FAULTS: tuple[tuple[type[CameraError], Fault], ...] = (
     (CameraIncomplete, Fault.CAMERA_INCOMPLETE),
     (CameraBusy, Fault.CAMERA_BUSY),
     (CameraConfigError, Fault.CAMERA_SETTING),
+    (CameraUnlit, Fault.LIGHT_LOST),
     (CameraError, Fault.CAMERA_ERROR),
 )
 CAMERA_FAULTS = (*(fault for _, fault in _CAMERA_FAULTS), Fault.CAMERA_STALE)

@@ -33,6 +33,7 @@ VERBS: Final[dict[str, tuple[str, str, str]]] = {
     "replay": ("slabcell.cli.replay", "replay_command", "Run recorded cycles again and compare."),
     "template": ("slabcell.cli.template", "template_app", "Check and draw a template."),
     "camera": ("slabcell.cli.camera", "camera_app", "Find, set and test cameras."),
+    "light": ("slabcell.cli.light", "light_app", "Set and try lights."),
     "sim": ("slabcell.cli.sim", "sim_app", "Run devices in software."),
     "krl": ("slabcell.cli.krl", "krl_app", "Check the robot programs."),
     "krc": ("slabcell.cli.krc", "krc_app", "Run robot programs in the software KRC."),

@@ -14,6 +14,7 @@ from slabcell.hmi.report import render_report
 from slabcell.logs import log_to_file
 from slabcell.service.demo import DemoOptions, run_demo
 from slabcell.service.demo_camera import DemoCamera
+from slabcell.service.demo_robot import DemoLink
 
 __all__ = ["demo_command"]
 
@@ -65,14 +66,18 @@ def demo_command(
         DemoCamera,
         typer.Option("--camera", help="What looks at the table; aravis and harvesters: over GigE Vision on loopback."),
     ] = DemoCamera.SIMULATED,
+    link: Annotated[
+        DemoLink,
+        typer.Option("--link", help="How robot and cell speak; Modbus: with a PLC in software between them."),
+    ] = DemoLink.EKI,
     *,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")] = False,
 ) -> None:
     """Run the whole cell, simulated, and measure what it laid.
 
-    Renders the table, calibrates the camera from rendered boards, runs the shipped KRL programs in the software KRC,
-    lays the template and measures every slab in the world's truth.  Exit code 1 if a slot is not filled to within
-    0.5 mm and 0.5 degrees.
+    Renders the table, calibrates the camera from rendered boards, runs the shipped KRL programs in the software KRC
+    (or, over Modbus, the same job in a PLC in software), lays the template and measures every slab in the world's
+    truth.  Exit code 1 if a slot is not filled to within 0.5 mm and 0.5 degrees.
     """
     console = Console(stderr=True)
     columns = (
@@ -85,7 +90,7 @@ def demo_command(
     log_to_file(out / "slabcell.log")
     with Progress(*columns, console=console) as progress:
         display = _Display(progress)
-        document = asyncio.run(run_demo(DemoOptions(scene, seed, out, camera), display))
+        document = asyncio.run(run_demo(DemoOptions(scene, seed, out, camera, link), display))
         display.close()
     document["files"]["report"] = str(_write_report(document))
     if as_json:

@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from slabcell.cli.sim_plc import plc_command
 from slabcell.errors import ImageError, UnavailableError, UsageError
 from slabcell.images import Image, read_image
 from slabcell_drivers.simulation import SceneError, World, load_scene, render_world
@@ -33,9 +34,7 @@ sim_app = typer.Typer(help="Run devices in software.", no_args_is_help=True)
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff"})
 
 
-@sim_app.callback()
-def _group() -> None:
-    """Keep `camera` a verb of its own while it is the only one."""
+sim_app.command("plc")(plc_command)
 
 
 @sim_app.command("camera")

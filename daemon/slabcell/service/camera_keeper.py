@@ -19,6 +19,7 @@ from slabcell.service.links import LinkName, Links, LinkState
 from slabcell_drivers.camera import Camera, CameraBusy, CameraConfigError, CameraError
 from slabcell_drivers.camera.protocol import CameraInfo, CameraState
 from slabcell_drivers.camera.supervision import SupervisedCamera
+from slabcell_drivers.light import LitCamera
 
 __all__ = ["CameraKeeper"]
 
@@ -91,7 +92,8 @@ class CameraKeeper:
                 self._up(info)
                 continue
             self._down(Fault.CAMERA_LOST, f"camera {info.serial} is {self._camera.state.value}")
-            if not isinstance(self._camera, SupervisedCamera):
+            driver = self._camera.camera if isinstance(self._camera, LitCamera) else self._camera
+            if not isinstance(driver, SupervisedCamera):
                 return
 
     def _up(self, info: CameraInfo) -> None:

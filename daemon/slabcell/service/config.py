@@ -12,6 +12,8 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from slabcell.service.krl_config import KrlConfig
+from slabcell.service.light_config import LightConfig
+from slabcell.service.modbus_config import ModbusConfig
 from slabcell.toml_file import TomlTable
 from slabcell_drivers.camera.settings import CameraSettings
 from slabcell_drivers.robot import Frame
@@ -114,7 +116,11 @@ class RobotConfig(TomlTable):
     """``[robot]``: the arm, its tool and its bases as they are taught on the controller."""
 
     model: Literal["kr3r540", "kr6r900"] = Field(default="kr3r540", description="which arm")
+    link: Literal["eki", "modbus-tcp", "modbus-rtu"] = Field(
+        default="eki", description="eki: the robot controller itself; modbus: a PLC or gateway in between"
+    )
     eki: EkiConfig = EkiConfig()
+    modbus: ModbusConfig = ModbusConfig()
     krl: KrlConfig = KrlConfig()
     tool: FrameConfig = Field(description="TOOL_DATA of the suction cup: flange to cup")
     gripper_radius_mm: Annotated[float, Field(gt=0, le=1000)] = Field(
@@ -198,6 +204,7 @@ class CellConfig(TomlTable):
         default=None, description="where ledger and bundles are kept; the default is systemd's STATE_DIRECTORY"
     )
     camera: CameraConfig
+    light: LightConfig | None = None
     robot: RobotConfig
     table: TableConfig
     planning: PlanningConfig = PlanningConfig()

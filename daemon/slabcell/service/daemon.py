@@ -19,7 +19,6 @@ import structlog
 
 from slabcell.cell.cell import Cell
 from slabcell.cell.ledger import Ledger
-from slabcell.errors import UnavailableError
 from slabcell.service.api.app import make_app
 from slabcell.service.api.context import ApiContext
 from slabcell.service.api.ring import EventRing
@@ -37,16 +36,15 @@ from slabcell.service.event_feed import EventFeed
 from slabcell.service.frames import FrameStore
 from slabcell.service.history import History
 from slabcell.service.ledger_view import LedgerView
+from slabcell.service.light_config import LightReport, with_light
 from slabcell.service.links import Links
 from slabcell.service.notify import notify, watchdog_interval_s
+from slabcell.service.robot_link import serve_robot
 from slabcell.service.robot_watch import RobotWatch
 from slabcell.service.watchdog import feed
-from slabcell_drivers.robot.eki.client import EkiClient
-from slabcell_drivers.robot.eki.link import EkiServer
 
 __all__ = ["run_daemon"]
 
-STOP_TIMEOUT_S = 5.0
 SOCKET_MODE = 0o660
 
 _log = structlog.get_logger(__name__)
@@ -112,10 +110,12 @@ async def _running(
         stack.push_async_callback(frames.close)
         feed = EventFeed(ring, history, links, frames)
         links.changed = feed.link_changed
-        camera = make_camera(config.camera)
+        light = LightReport()
+        camera = with_light(make_camera(config.camera), config.light, light)
         stack.push_async_callback(camera.close)
         cell, ledger = await stack.enter_async_context(open_cell(parts, camera, folder))
         stack.callback(cell.subscribe(feed.see))
+        light.tell_to(cell.alarms)
         view = LedgerView(folder / "ledger.sqlite")
         stack.push_async_callback(view.close)
         robot = RobotWatch(cell, links)
@@ -140,7 +140,7 @@ async def _running(
         server_socket = listen(socket_path, mode=SOCKET_MODE, group=config.api.group)
         await stack.enter_async_context(serve(make_app(context), server_socket, socket_path))
         stack.callback(ring.close)
-        address = await stack.enter_async_context(_link(config, robot))
+        address = await stack.enter_async_context(serve_robot(config, robot, cell.alarms))
         yield context, address, ledger
 
 
@@ -161,32 +161,6 @@ async def _beside(*works: Coroutine[Any, Any, None]) -> AsyncGenerator[None]:
 def _report(task: asyncio.Task[None]) -> None:
     if not task.cancelled() and (error := task.exception()) is not None:
         _log.error("a part of the daemon ended", part=task.get_name(), exc_info=error)
-
-
-@contextlib.asynccontextmanager
-async def _link(config: CellConfig, robot: RobotWatch) -> AsyncGenerator[tuple[str, int]]:
-    """Serve the robot; gives the address at which both meet."""
-    krl, eki = config.robot.krl, config.robot.eki
-    link = (
-        EkiServer(eki.host, eki.port, on_state=robot.link_changed)
-        if krl.robot_connects
-        else EkiClient(krl.robot_ip, krl.robot_port, on_state=robot.link_changed)
-    )
-    try:
-        await link.start(robot.handle)
-    except OSError as error:
-        msg = (
-            f"[robot.eki] {eki.host}:{eki.port} cannot be listened on: {error.strerror};"
-            " is the address this PC's own, and the port free?"
-        )
-        raise UnavailableError(msg) from error
-    address = link.address if isinstance(link, EkiServer) else (krl.robot_ip, krl.robot_port)
-    robot.meets_at(*address, link)
-    try:
-        yield address
-    finally:
-        async with asyncio.timeout(STOP_TIMEOUT_S):
-            await link.stop()
 
 
 def _watchdog(cell: Cell, ledger: Ledger) -> tuple[Coroutine[Any, Any, None], ...]:

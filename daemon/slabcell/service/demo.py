@@ -33,20 +33,18 @@ from slabcell.recipe import Recipe, load_recipe
 from slabcell.service.config import CellConfig
 from slabcell.service.config_layers import load_config
 from slabcell.service.demo_camera import DemoCamera, demo_camera
+from slabcell.service.demo_robot import DemoLink, demo_robot
 from slabcell.service.simulated import SimulatedCell, calibrate_from_boards
 from slabcell.vision.overlay import draw_overlay
 from slabcell_drivers.camera import ImageFrame, Pixels
-from slabcell_drivers.krc import RunResult, SoftwareKrc
+from slabcell_drivers.krc import RunResult
 from slabcell_drivers.robot.arm import ArmModel, arm_by_name
-from slabcell_drivers.robot.eki.link import EkiServer
 from slabcell_drivers.simulation import Placement, Scene, SceneError, camera_views, load_scene, plane_views
 
 __all__ = ["DemoOptions", "Progress", "run_demo", "scene_names"]
 
 LIMIT_MM = 0.5
 LIMIT_DEG = 0.5
-PROGRAM = "SlabCell"
-JOB_TIMEOUT_S = 240.0
 
 Document = dict[str, Any]
 
@@ -65,12 +63,13 @@ class Progress(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class DemoOptions:
-    """What to show: a shipped scene's name or a scene file, how the slabs are strewn, where files go, which camera."""
+    """What to show: a shipped scene's name or a scene file, how the slabs are strewn, where files go; camera, link."""
 
     scene: str
     seed: int
     out: Path
     camera: DemoCamera = DemoCamera.SIMULATED
+    link: DemoLink = DemoLink.EKI
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +119,7 @@ async def run_demo(options: DemoOptions, progress: Progress) -> Document:
 
     progress.stage("taking the first picture")
     before = await asyncio.to_thread(simulated.picture, 0)
-    cell_run = _Run(parts, simulated, options.camera, calibration, progress)
+    cell_run = _Run(parts, simulated, options, calibration, progress)
     await cell_run.run(out, seed=options.seed)
 
     progress.stage("measuring what was laid")
@@ -133,19 +132,19 @@ async def run_demo(options: DemoOptions, progress: Progress) -> Document:
 
 
 class _Run:
-    """One job: the cell behind its EKI server, and the controller that runs the shipped program against it."""
+    """One job: the cell behind its link, and the robot that runs its program against it."""
 
     def __init__(
         self,
         parts: _Parts,
         simulated: SimulatedCell,
-        camera: DemoCamera,
+        options: DemoOptions,
         calibration: Calibration,
         progress: Progress,
     ) -> None:
         self._parts = parts
         self._simulated = simulated
-        self._camera = camera
+        self._camera, self._link = options.camera, options.link
         self._calibration = calibration
         self._progress = progress
         self._frame: ImageFrame | None = None
@@ -155,31 +154,24 @@ class _Run:
         self.scores: dict[int, float] = {}
         self.result: RunResult | None = None
         self.messages: tuple[str, ...] = ()
+        self.program = ""
 
     async def run(self, out: Path, *, seed: int) -> None:
         """Run the job to its end."""
-        link = EkiServer(self._parts.config.robot.eki.host, self._parts.config.robot.eki.port)
+        parts = self._parts
         async with self._cell(out) as cell:
             unsubscribe = cell.subscribe(self._see)
-            await link.start(cell.handle)
+            robot_at = demo_robot(self._link, self._simulated, parts.config, parts.arm, cell.handle, seed)
             try:
-                self._progress.stage("laying the slabs", len(self._parts.recipe.template.slots))
-                with self._simulated.controller(link.address, seed=seed) as controller:
-                    await self._run_program(controller)
+                async with robot_at as robot:
+                    self._progress.stage("laying the slabs", len(parts.recipe.template.slots))
+                    self.program = robot.program
+                    try:
+                        self.result = await robot.run()
+                    finally:
+                        self.messages = robot.messages
             finally:
-                await link.stop()
                 unsubscribe()
-
-    async def _run_program(self, controller: SoftwareKrc) -> None:
-        running = asyncio.create_task(asyncio.to_thread(controller.run, PROGRAM, max_wall_s=JOB_TIMEOUT_S), name="krc")
-        try:
-            self.result = await asyncio.shield(running)
-        except asyncio.CancelledError:
-            controller.cancel()
-            await running
-            raise
-        finally:
-            self.messages = tuple(str(message) for message in controller.messages)
 
     @contextlib.asynccontextmanager
     async def _cell(self, out: Path) -> AsyncGenerator[Cell]:
@@ -267,6 +259,7 @@ def _document(options: DemoOptions, parts: _Parts, placements: tuple[Placement, 
         "scene": parts.scene.name,
         "seed": options.seed,
         "camera": options.camera.value,
+        "link": options.link.value,
         "ok": not failures,
         "failures": failures,
         "limits": {"position_mm": LIMIT_MM, "angle_deg": LIMIT_DEG},
@@ -291,7 +284,7 @@ def _document(options: DemoOptions, parts: _Parts, placements: tuple[Placement, 
             for number, cycle in enumerate(run.cycles, start=1)
         ],
         "robot": {
-            "program": PROGRAM,
+            "program": run.program,
             "status": result.status if result else "",
             "virtual_time_s": result.virtual_time_s if result else 0.0,
             "statements": result.statements if result else 0,

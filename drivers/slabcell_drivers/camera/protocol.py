@@ -18,6 +18,7 @@ __all__ = [
     "CameraLost",
     "CameraState",
     "CameraTimeout",
+    "CameraUnlit",
     "ImageFrame",
     "Pixels",
 ]
@@ -49,6 +50,10 @@ class CameraBusy(CameraError):
 
 class CameraConfigError(CameraError):
     """A setting was refused; the message names the setting, the value and the range."""
+
+
+class CameraUnlit(CameraError):
+    """No picture, because its light could not be set."""
 
 
 class CameraState(StrEnum):

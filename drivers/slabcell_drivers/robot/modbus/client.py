@@ -28,11 +28,11 @@ from slabcell_drivers.robot.modbus.register_map import Area, RegisterMap
 from slabcell_drivers.robot.modbus.serial_port import SerialSettings
 from slabcell_drivers.robot.protocol import Answer, Handler, LinkState, Request
 
-__all__ = ["ModbusClient", "PollError", "RegisterClient", "serial_client", "tcp_client"]
+__all__ = ["AnyClient", "MakeClient", "ModbusClient", "PollError", "RegisterClient", "serial_client", "tcp_client"]
 
 _log = structlog.get_logger(__name__)
 
-_Client = AsyncModbusTcpClient | AsyncModbusSerialClient
+AnyClient = AsyncModbusTcpClient | AsyncModbusSerialClient
 
 
 class PollError(OSError):
@@ -42,7 +42,7 @@ class PollError(OSError):
 ConnectHook = Callable[[bool], None]
 """Is told by pymodbus that a connection was made (True) or lost (False)."""
 
-MakeClient = Callable[[ConnectHook], _Client]
+MakeClient = Callable[[ConnectHook], AnyClient]
 
 
 def tcp_client(host: str, port: int, timeout_s: float) -> MakeClient:
@@ -73,7 +73,7 @@ class RegisterClient:
         self._make = make
         self._map = register_map
         self._timeout_s = timeout_s
-        self._client: _Client | None = None
+        self._client: AnyClient | None = None
         self._lost = asyncio.Event()
 
     @property
@@ -129,7 +129,7 @@ class RegisterClient:
         if response.isError():
             raise PollError(f"write of {len(words)} registers at {address}: exception {response.exception_code}")
 
-    async def _ask(self, request: Callable[[_Client], Awaitable[ModbusPDU]]) -> ModbusPDU:
+    async def _ask(self, request: Callable[[AnyClient], Awaitable[ModbusPDU]]) -> ModbusPDU:
         """Return the response; pymodbus waits out its timeout when the connection is lost, this does not."""
         client = self._client
         if client is None or not client.connected:
@@ -339,7 +339,11 @@ class ModbusClient:
         self._gripper.wish(vacuum=bool(command & 1))
 
     async def _tell_life(self) -> None:
-        """Write the cell's life signs ten times a second, and at once when anything but the watchdog has changed."""
+        """Write the cell's life signs ten times a second, and at once when anything but the watchdog has changed.
+
+        After that look which toggle the PLC has: a gateway may have delivered an earlier write of ours late, over a
+        newer one, and then both sides would wait for each other.
+        """
         self._count = (self._count + 1) & 0xFFFF
         now_s = time.monotonic()
         status = Status.WORKING if self._pending is not None else Status.WAITING
@@ -352,6 +356,8 @@ class ModbusClient:
         )
         await self._client.write(self._map.span(Area.CELL_LIFE)[0], words)
         self._life, self._life_written_s = signs, now_s
+        start, count = self._map.span(Area.ANSWER)
+        self._exchange.correct((await self._client.read(start + count - 1, 1))[0])
 
     def _record(self, direction: Direction, words: list[int]) -> None:
         if self._on_telegram is not None:

@@ -15,7 +15,7 @@ from slabcell_drivers.robot.modbus.codec import encode_answer
 from slabcell_drivers.robot.modbus.exchange import Exchange
 from slabcell_drivers.robot.modbus.gripper import NoGripper, PeerGripper
 from slabcell_drivers.robot.modbus.image import RegisterImage
-from slabcell_drivers.robot.modbus.register_map import Area, RegisterMap
+from slabcell_drivers.robot.modbus.register_map import Area, Register, RegisterMap
 from slabcell_drivers.robot.protocol import Answer, Handler, Request
 
 __all__ = ["RequestDesk", "Status", "words_to_bytes"]
@@ -57,6 +57,7 @@ class RequestDesk:
         self._work: set[asyncio.Task[None]] = set()
         self._ticking: asyncio.Task[None] | None = None
         self._watchdog = image.value(Area.PLC_LIFE, "watchdog")
+        self._io_command = image.map.register(Area.PLC_LIFE, "io_command")
         image.written = self._written
         self._gripper.subscribe(self._show_gripper)
         self._show_gripper()
@@ -68,7 +69,7 @@ class RequestDesk:
 
     async def stop(self) -> None:
         """Finish what is under way; no task is left behind."""
-        self.image.written = lambda _areas: None
+        self.image.written = lambda _registers: None
         if self._ticking is not None:
             self._ticking.cancel()
             await asyncio.gather(self._ticking, return_exceptions=True)
@@ -80,12 +81,14 @@ class RequestDesk:
         """Forget the old peer's watchdog: the new one may have none."""
         self.watchdog_changed_s = None
 
-    def _written(self, areas: frozenset[Area]) -> None:
+    def _written(self, registers: frozenset[Register]) -> None:
+        areas = {register.area for register in registers}
         if Area.PLC_LIFE in areas:
             watchdog = self.image.value(Area.PLC_LIFE, "watchdog")
             if watchdog != self._watchdog:
                 self._watchdog, self.watchdog_changed_s = watchdog, time.monotonic()
             self.image.set_value(Area.CELL_LIFE, "watchdog_echo", watchdog)
+        if self._io_command in registers:  # and not with the watchdog alone: after a restart nothing is wished for yet
             self._gripper.wish(vacuum=bool(self.image.value(Area.PLC_LIFE, "io_command") & 1))
         if Area.REQUEST in areas:
             self._look()

@@ -40,6 +40,11 @@ class Exchange:
             publication, answer_words[publication.address - start : publication.end - start]
         )
 
+    def correct(self, answer_toggle: int) -> None:
+        """Believe the toggle that is found in a PLC's memory: a write of ours may have come there late."""
+        if not self.busy:
+            self._answered = answer_toggle & 1
+
     def take(self, request_words: Sequence[int]) -> Request | Answer | None:
         """Return the request that stands, if it is new and whole; or the answer that the link itself gives to it.
 

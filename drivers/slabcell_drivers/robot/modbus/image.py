@@ -36,12 +36,12 @@ class RegisterImage:
     """The registers of one device, all zero at first.
 
     ``peer_writes`` are the areas that a peer may write.  ``written`` is called after each write of a peer, with the
-    areas that it touched; it must not raise.
+    registers that it touched; it must not raise.
     """
 
     def __init__(self, register_map: RegisterMap, *, peer_writes: frozenset[Area]) -> None:
         self.map = register_map
-        self.written: Callable[[frozenset[Area]], None] = lambda _areas: None
+        self.written: Callable[[frozenset[Register]], None] = lambda _registers: None
         self._peer_writes = peer_writes
         self._owner: dict[int, Register] = {
             address: register
@@ -112,7 +112,7 @@ class RegisterImage:
             if not register.low * register.scale <= raw <= register.high * register.scale:
                 raise RefusedError(ExceptionCode.ILLEGAL_VALUE)
         self._words.update(update)
-        self.written(frozenset(register.area for register in touched))
+        self.written(frozenset(touched))
 
     def read_coils(self, wire_address: int, count: int) -> list[bool]:
         """Return the bits that the PLC writes.  Raises RefusedError."""
@@ -130,7 +130,7 @@ class RegisterImage:
         if Area.PLC_LIFE not in self._peer_writes or address != self.map.bits.vacuum or len(values) != 1:
             raise RefusedError(ExceptionCode.ILLEGAL_ADDRESS)
         self.set_value(Area.PLC_LIFE, "io_command", int(values[0]))
-        self.written(frozenset({Area.PLC_LIFE}))
+        self.written(frozenset({self.map.register(Area.PLC_LIFE, "io_command")}))
 
     def _bits(self, known: dict[int, int], register: tuple[Area, str], wire_address: int, count: int) -> list[bool]:
         start = wire_address - self.map.layout.address_offset
