@@ -1,5 +1,6 @@
 """How do cameras, their features and a stream test look to a person, and as JSON?"""
 
+from collections.abc import Sequence
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
@@ -55,7 +56,7 @@ def print_devices(devices: tuple[Device, ...]) -> None:
     Console().print(table)
 
 
-def print_features(features: list[Feature]) -> None:
+def print_features(features: Sequence[Feature]) -> None:
     """Print a table of features, by their categories."""
     table = Table("Feature", "Value", "Range", "Access", box=SIMPLE_HEAD)
     table.columns[0].no_wrap = True

@@ -21,7 +21,7 @@ __all__ = ["HarvestersStream", "RawFrame"]
 
 _FETCH_S: Final = 0.05
 _POLL_MS: Final = 1
-_TOLD: Final = ("timestamp_frequency", "size_filled", "delivered_image_height", "x_offset", "y_offset", "payload_type")
+_TOLD: Final = ("timestamp_frequency", "size_filled", "delivered_image_height", "offset_x", "offset_y", "payload_type")
 """What else producers say of a frame, by the names that the binding gives it."""
 
 
@@ -62,6 +62,7 @@ class HarvestersStream:
 
     def restart(self) -> None:
         """Begin the acquisition again: the producer gives back every buffer, filled or not."""
+        self.count()
         self._acquirer.stop()
         self.start()
 

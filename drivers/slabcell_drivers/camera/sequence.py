@@ -1,7 +1,7 @@
 """Does a frame belong to the trigger that was just sent?  Judged by the camera's own count of its frames.
 
 A triggered camera counts one frame for each trigger, so the next frame's id is known.  GigE Vision 1.x counts 1 to
-65535 and goes on with 1 (0 is never used); extended ids have 64 bits and do not wrap.
+65535 and goes on with 1 (0 is never used); extended ids (GigE Vision 2, other transports) have 64 bits and go on.
 """
 
 from enum import Enum
@@ -25,30 +25,34 @@ class Verdict(Enum):
 class FrameSequence:
     """The count of one acquisition; the first id is whatever the camera begins with."""
 
-    def __init__(self, *, extended: bool = False) -> None:
-        self._extended = extended
+    def __init__(self) -> None:
         self._last: int | None = None
 
     @property
     def expected(self) -> int | None:
-        """The id of the next frame, None before the first."""
+        """The id of the next frame, None before the first; after 65535, 65536 is as good as 1."""
         if self._last is None:
             return None
-        return self._last + 1 if self._extended else self._last % IDS_16 + 1
+        return 1 if self._last == IDS_16 else self._last + 1
 
     def judge(self, frame_id: int) -> Verdict:
         """Say what a frame is, and count it if it is the trigger's own."""
-        expected = self.expected
-        if expected is None or frame_id == expected:
+        if self._last is None or frame_id in (self.expected, self._last + 1):
             self._last = frame_id
             return Verdict.OWN
-        behind = expected - frame_id if self._extended else (expected - frame_id) % IDS_16
-        return Verdict.STALE if 0 < behind <= RECENT else Verdict.BROKEN
+        return Verdict.STALE if 0 < -self._ahead(frame_id) <= RECENT else Verdict.BROKEN
 
     def missed(self, frame_id: int) -> int:
         """Return how many frames are missing before ``frame_id``, 0 if that cannot be known."""
-        expected = self.expected
-        if expected is None or frame_id == expected:
+        if self._last is None or frame_id in (self.expected, self._last + 1):
             return 0
-        ahead = frame_id - expected if self._extended else (frame_id - expected) % IDS_16
+        ahead = self._ahead(frame_id)
         return ahead if 0 < ahead <= RECENT else 0
+
+    def _ahead(self, frame_id: int) -> int:
+        """Return how far an id is from the expected one: behind is negative."""
+        last = self._last or 0
+        if max(last, frame_id) > IDS_16:  # extended: it does not wrap
+            return frame_id - last - 1
+        forward = (frame_id - last - 1) % IDS_16
+        return forward if forward <= RECENT else forward - IDS_16

@@ -105,6 +105,11 @@ class SupervisedCamera:
         """Who the camera is, None before it was opened."""
         return self._info
 
+    @property
+    def cause(self) -> str:
+        """Why no picture can be taken now; empty while one can."""
+        return "" if self._state is CameraState.READY else self._cause
+
     async def until(self, state: CameraState) -> None:
         """Wait until the camera stands so; it may be long."""
         while self._state is not state:

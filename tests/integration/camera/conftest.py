@@ -1,21 +1,34 @@
 """Cameras to test with: in this process, or as programs that can be killed; each test's on an address of its own."""
 
+import asyncio
 import importlib.util
 import os
 import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import AsyncGenerator, Callable, Iterator
+from contextlib import asynccontextmanager
 from ipaddress import IPv4Address
 from pathlib import Path
+from typing import TypeVar
 
 import pytest
 
+from slabcell_drivers.camera import CameraState
+from slabcell_drivers.camera.aravis import AravisCamera
 from slabcell_drivers.camera.aravis_library import AravisLibrary, AravisMissingError
+from slabcell_drivers.camera.discovery import Interface
+from slabcell_drivers.camera.harvesters import HarvestersCamera
+from slabcell_drivers.camera.settings import CameraSettings
+from slabcell_drivers.camera.supervision import SupervisedCamera
 from slabcell_drivers.gentl import ProducerBuildError, build
 from slabcell_drivers.simulation.gige import CheckedPattern, GigeCamera, SensorLimits
 
+C = TypeVar("C", bound=SupervisedCamera)
+
+LOOPBACK = [Interface("lo", "127.0.0.1", "127.255.255.255")]
+PLAIN = CameraSettings(packet_size=8000, heartbeat_ms=2000)
 SLABCELL = str(Path(sys.executable).parent / "slabcell")
 
 
@@ -164,3 +177,31 @@ def tool() -> Callable[[str], str]:
         return path
 
     return find
+
+
+MakeCamera = Callable[[str, CameraSettings], SupervisedCamera]
+
+
+@pytest.fixture(params=["aravis", "harvesters"])
+def make(request: pytest.FixtureRequest, aravis: AravisLibrary) -> MakeCamera:
+    """Makes a camera through each real driver, by its address."""
+    if request.param == "aravis":
+        return lambda address, settings: AravisCamera(address, settings, on=LOOPBACK)
+    producer = request.getfixturevalue("producer")
+    return lambda address, settings: HarvestersCamera(serial_of(address), [producer], settings, on=LOOPBACK)
+
+
+@asynccontextmanager
+async def opened(camera: C, timeout_s: float = 40.0) -> AsyncGenerator[C]:
+    """Open a camera, and close it in the end."""
+    try:
+        await camera.open(timeout_s)
+        yield camera
+    finally:
+        await camera.close()
+
+
+async def until(camera: SupervisedCamera, state: CameraState) -> None:
+    """Wait until a camera stands so; fail if that never comes."""
+    async with asyncio.timeout(60):
+        await camera.until(state)

@@ -10,28 +10,16 @@ import numpy as np
 import pytest
 
 from slabcell_drivers.camera import CameraIncomplete, CameraTimeout
-from slabcell_drivers.camera.aravis import AravisCamera
 from slabcell_drivers.camera.harvesters import HarvestersCamera
 from slabcell_drivers.camera.settings import CameraSettings
-from slabcell_drivers.camera.supervision import SupervisedCamera
 from slabcell_drivers.simulation.gige import CheckedPattern, GigeCamera
 
-from .conftest import Program, serial_of
+from .conftest import MakeCamera, Program, serial_of
 
 pytestmark = [pytest.mark.integration, pytest.mark.usefixtures("aravis")]
 
 LONG = pytest.param(10_000, marks=[pytest.mark.slow, pytest.mark.timeout(4 * 3600)])
 MAX_KB_A_FRAME = 0.2
-
-MakeCamera = Callable[[str, CameraSettings], SupervisedCamera]
-
-
-@pytest.fixture(params=["aravis", "harvesters"])
-def make(request: pytest.FixtureRequest) -> MakeCamera:
-    if request.param == "aravis":
-        return AravisCamera
-    producer = request.getfixturevalue("producer")
-    return lambda address, settings: HarvestersCamera(serial_of(address), [producer], settings)
 
 
 @dataclass

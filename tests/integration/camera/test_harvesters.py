@@ -5,8 +5,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from contextlib import AbstractAsyncContextManager
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,14 +19,14 @@ from slabcell_drivers.camera.harvesters import HarvestersCamera
 from slabcell_drivers.camera.probe import Sight, look
 from slabcell_drivers.camera.settings import CameraSettings
 from slabcell_drivers.gentl import ProducerBuildError, build
-from slabcell_drivers.simulation.gige import CheckedPattern, GigeCamera, SensorLimits
+from slabcell_drivers.simulation.gige import GigeCamera, SensorLimits
 
-from .conftest import need, serial_of
+from .conftest import PLAIN, need, serial_of
+from .conftest import opened as opened_camera
 
 pytestmark = pytest.mark.integration
 
 MONO = "SN_InterfaceA_0"
-PLAIN = CameraSettings(packet_size=8000, heartbeat_ms=2000)
 
 
 @pytest.fixture(scope="session")
@@ -38,14 +37,8 @@ def tlsimu(harvesters: None) -> Path:
     return path
 
 
-@asynccontextmanager
-async def opened(camera: str, producer: Path, settings: CameraSettings) -> AsyncIterator[HarvestersCamera]:
-    found = HarvestersCamera(camera, [producer], settings)
-    try:
-        await found.open(40.0)
-        yield found
-    finally:
-        await found.close()
+def opened(camera: str, producer: Path, settings: CameraSettings) -> AbstractAsyncContextManager[HarvestersCamera]:
+    return opened_camera(HarvestersCamera(camera, [producer], settings))
 
 
 async def test_triggers_give_frames_in_order_from_an_independent_producer(tlsimu: Path) -> None:
@@ -126,37 +119,37 @@ async def test_a_missing_producer_is_named() -> None:
         await HarvestersCamera("X", [Path("/nowhere/x.cti")]).open(5.0)
 
 
-async def test_our_own_producer_streams_over_gige_vision_and_takes_a_bad_frame_again(
-    producer: Path, gige: GigeCamera, pattern: CheckedPattern
-) -> None:
-    async with opened(gige.device.serial, producer, PLAIN) as camera:
-        for _ in range(20):
-            assert pattern.number_of((await camera.snap(5.0)).pixels) == gige.counts.triggers
-        gige.faults.apply("truncate 1")
-        assert pattern.number_of((await camera.snap(8.0)).pixels) == gige.counts.triggers
-        assert camera.statistics.retries == 1
-        gige.pulse()  # a frame that nobody asked for
-        async with asyncio.timeout(30.0):
-            while gige.counts.frames < gige.counts.triggers:  # noqa: ASYNC110 - its threads know no asyncio
-                await asyncio.sleep(0.01)
-        assert pattern.number_of((await camera.snap(8.0)).pixels) == gige.counts.triggers
+async def test_settings_are_applied_and_read_back_through_harvesters(producer: Path, gige: GigeCamera) -> None:
+    wanted = CameraSettings(
+        width=320, height=200, offset_x=64, offset_y=10, pixel_format="Mono12", exposure_us=2500.0, gain_db=6.0,
+        packet_size=1500, packet_delay_ns=2000, heartbeat_ms=1500, features={"DeviceUserID": "north"},
+    )  # fmt: skip
+    async with opened(gige.device.serial, producer, wanted) as camera:
+        frame = await camera.snap(5.0)
+        assert (frame.pixels.shape, frame.pixels.dtype) == ((200, 320), np.uint16)
+        assert (frame.said["offset_x"], frame.said["offset_y"]) == (64, 10)
+        seen = gige.settings
+        assert (seen.width, seen.height, seen.offset_x, seen.offset_y) == (320, 200, 64, 10)
+        assert (seen.pixel_format.name, seen.exposure_us, seen.gain_db) == ("Mono12", 2500.0, 6.0)
+        assert (seen.packet_size, seen.packet_delay_ns, seen.triggered) == (1500, 2000, True)
 
 
-async def test_a_camera_that_went_comes_back_by_itself_through_our_own_producer(
-    producer: Path, address: str, program: Callable[..., object]
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (
+            CameraSettings(exposure_us=5e7),
+            r"ExposureTime = 50000000\.0 is refused: it must be 15 to 1000000; `slabcell",
+        ),
+        (CameraSettings(width=638), r"Width = 638 is refused: it must be 4 to 640 in steps of 4"),
+        (CameraSettings(features={"TriggerMode": "Maybe"}), r"TriggerMode = Maybe is refused: it takes Off, On"),
+    ],
+)
+async def test_a_setting_that_the_camera_refuses_is_named_through_harvesters(
+    producer: Path, gige: GigeCamera, settings: CameraSettings, message: str
 ) -> None:
-    options = ("--address", address, "--serial", serial_of(address), "--width", "640", "--height", "480")
-    running = program(*options)
-    async with opened(serial_of(address), producer, PLAIN) as camera:
-        await camera.snap(5.0)
-        running.signal(signal.SIGKILL)
-        async with asyncio.timeout(10.0):
-            with pytest.raises(CameraLost):
-                await camera.snap(1.5)
-        program(*options)
-        async with asyncio.timeout(60.0):
-            await camera.until(CameraState.READY)
-        await camera.snap(5.0)
+    with pytest.raises(CameraConfigError, match=message):
+        await HarvestersCamera(gige.address, [producer], settings).open(40.0)
 
 
 async def test_two_processes_cannot_both_control_a_camera(

@@ -9,8 +9,8 @@ from slabcell_drivers.camera.sequence import FrameSequence, Verdict
 pytestmark = pytest.mark.unit
 
 
-def after(frame_id: int, *, extended: bool = False) -> FrameSequence:
-    sequence = FrameSequence(extended=extended)
+def after(frame_id: int) -> FrameSequence:
+    sequence = FrameSequence()
     assert sequence.judge(frame_id) is Verdict.OWN
     return sequence
 
@@ -21,7 +21,11 @@ def test_the_id_after_65535_is_1():
 
 
 def test_extended_ids_do_not_wrap():
-    assert after(65_535, extended=True).judge(65_536) is Verdict.OWN
+    sequence = after(65_534)
+    assert [sequence.judge(65_534 + step) for step in range(1, 5)] == [Verdict.OWN] * 4
+    assert sequence.judge(1) is Verdict.BROKEN
+    assert sequence.judge(65_537) is Verdict.STALE
+    assert sequence.missed(65_541) == 2
 
 
 @pytest.mark.parametrize(("last", "came"), [(10, 10), (10, 9), (2, 65_535), (1, 65_300)])

@@ -102,6 +102,7 @@ class Faults:
             self.next_block = int(_within(int(values[0]) if values else 1, 1, 65_535))
         elif verb == "mend":
             self.loss = self.late_s = 0.0
+            self.next_block = None
             self._on.clear()
             self._planned.clear()
         else:

@@ -70,6 +70,9 @@ class Streamer:
             self._running, self._triggered, self._block = True, False, 1
             self._acquisition += 1  # a frame that is being exposed belongs to the one before, and is not sent
             self._wake.notify()
+        with self._send_lock:  # ids begin again: an old frame must not be sent for a new one of the same id
+            self._free.extend(self._kept)
+            self._kept.clear()
 
     def stop(self) -> None:
         """End the acquisition; the frame being sent is sent to its end."""
@@ -183,7 +186,7 @@ class Streamer:
         with self._send_lock:
             recycled = self._free.pop() if self._free else None
             packets = FramePackets(head, data, settings.packet_size, recycled)
-            if not fault.truncated:
+            if not fault.truncated and acquisition == self._acquisition:
                 self._kept.append(packets)
             if len(self._kept) > KEPT_FRAMES:
                 self._free.append(self._kept.popleft())
