@@ -60,6 +60,7 @@ def recipe_document(recipe: Recipe) -> dict[str, object]:
         "matching": recipe.matching.model_dump(mode="json"),
         "grasp": recipe.grasp.model_dump(mode="json"),
         "gates": recipe.gates.model_dump(mode="json"),
+        "blobs": recipe.blobs.model_dump(mode="json"),
     }
 
 

@@ -22,7 +22,14 @@ from slabcell.cell.settings import CellSettings
 from slabcell.errors import SlabcellError
 from slabcell.geometry import Polygon
 from slabcell.images import Image, decode_image
-from slabcell.recipe import GateParameters, GraspParameters, MatchingParameters, Recipe, SegmentationParameters
+from slabcell.recipe import (
+    BlobParameters,
+    GateParameters,
+    GraspParameters,
+    MatchingParameters,
+    Recipe,
+    SegmentationParameters,
+)
 from slabcell.template import Template
 from slabcell_drivers.robot.arm import ArmModel, arm_by_name
 from slabcell_drivers.robot.frame import Frame
@@ -169,6 +176,7 @@ def _recipe(document: dict[str, object]) -> Recipe:
         matching=MatchingParameters.model_validate(document["matching"]),
         grasp=GraspParameters.model_validate(document["grasp"]),
         gates=GateParameters.model_validate(document["gates"]),
+        blobs=BlobParameters.model_validate(document.get("blobs", {})),  # older bundles are of a time without them
     )
 
 

@@ -71,7 +71,7 @@ def install(root: Path = Path("/")) -> Report:
         for target, content in _edited_files():
             _lay_edited(root, target, content, before, report)
             files[target] = _sha256(content)
-        for folder, mode in (("etc/slabcell/cell.d", 0o755), ("etc/slabcell/credentials", 0o700)):
+        for folder, mode in (("etc/slabcell/cell.toml.d", 0o755), ("etc/slabcell/credentials", 0o700)):
             (root / folder).mkdir(mode=mode, parents=True, exist_ok=True)
         if _link(root / COMMAND, f"/{HOME}/current/bin/slabcell"):
             report.laid.append(str(COMMAND))
@@ -113,7 +113,13 @@ def uninstall(root: Path = Path("/")) -> Report:
             else:
                 path.unlink(missing_ok=True)
         report.removed.append(str(HOME))
-        for folder in ("etc/slabcell/cell.d", "etc/slabcell/credentials", *_edited_dirs(), "etc/slabcell", str(HOME)):
+        for folder in (
+            "etc/slabcell/cell.toml.d",
+            "etc/slabcell/credentials",
+            *_edited_dirs(),
+            "etc/slabcell",
+            str(HOME),
+        ):
             _remove_if_empty(root / folder)
     except OSError as error:
         raise _named(error, root) from error

@@ -1,0 +1,77 @@
+"""`slabcell recipe`: verify a recipe against pictures that a person has graded, and make it the active one."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from slabcell.service.recipes import DEFAULT_DEG, DEFAULT_MM, Verification, activate, add_graded, verify
+
+__all__ = ["recipe_app"]
+
+recipe_app = typer.Typer(no_args_is_help=True)
+
+Recipe = Annotated[Path, typer.Argument(metavar="RECIPE", help="The recipe's file.")]
+Millimetres = Annotated[float, typer.Option("--mm", min=0.0, help="How far a pose may be off.")]
+Degrees = Annotated[float, typer.Option("--deg", min=0.0, help="How far an angle may be off.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+
+
+@recipe_app.command("grade")
+def grade_command(
+    recipe: Recipe,
+    bundles: Annotated[list[Path], typer.Argument(metavar="BUNDLE...", help="Cycles that you have found right.")],
+) -> None:
+    """Add cycles that a person has looked at and found right to the recipe's graded set."""
+    for path in add_graded(recipe, bundles):
+        typer.echo(str(path))
+
+
+@recipe_app.command("verify")
+def verify_command(
+    recipe: Recipe, mm: Millimetres = DEFAULT_MM, deg: Degrees = DEFAULT_DEG, *, as_json: Json = False
+) -> None:
+    """Run the recipe on its graded set.  Exit code 1 if a picture comes out otherwise."""
+    done = verify(recipe, tolerance_mm=mm, tolerance_deg=deg)
+    _tell(done, as_json=as_json)
+    if not done.passed:
+        raise typer.Exit(1)
+
+
+@recipe_app.command("activate")
+def activate_command(
+    recipe: Recipe,
+    config: Annotated[Path, typer.Option("--config", metavar="FILE", help="The cell's configuration.")] = Path(
+        "/etc/slabcell/cell.toml"
+    ),
+    socket: Annotated[Path | None, typer.Option("--socket", metavar="FILE", help="The daemon's socket.")] = None,
+    mm: Millimetres = DEFAULT_MM,
+    deg: Degrees = DEFAULT_DEG,
+    *,
+    as_json: Json = False,
+) -> None:
+    """Verify the recipe, then make it the one that the cell works with.
+
+    Refused with exit code 78 if it does not pass its graded set, and with 75 while a job is open.
+    """
+    done = verify(recipe, tolerance_mm=mm, tolerance_deg=deg)
+    written = activate(recipe, config, done, socket=socket)
+    _tell(done, as_json=as_json, written=written)
+
+
+def _tell(done: Verification, *, as_json: bool, written: Path | None = None) -> None:
+    if as_json:
+        document = {"schema": "slabcell.recipe-verification/1", **asdict(done), "passed": done.passed}
+        typer.echo(json.dumps({**document, "written": str(written) if written else None}))
+        return
+    for item in done.pictures:
+        typer.echo(f"{'✗' if item.problems else '✓'} {item.bundle}")
+        for problem in item.problems:
+            typer.echo(f"    {problem}")
+    if not done.pictures:
+        typer.echo("no graded set: `slabcell recipe grade` makes one of bundles")
+    typer.echo(f"{done.recipe}: {'passed' if done.passed else 'not passed'}, sha256 {done.sha256}")
+    if written is not None:
+        typer.echo(f"active from the next start on: {written}; systemctl restart slabcell")
