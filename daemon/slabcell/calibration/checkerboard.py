@@ -15,11 +15,11 @@ __all__ = ["find_checkerboard", "number_grid"]
 REDUCED_SIDE = 960
 """Long side in pixels of the picture that is searched first."""
 MAX_SEARCH_SIDE = 2600
-"""Long side in pixels above which a picture is never searched unreduced."""
+"""Long side in pixels of the largest picture that is searched."""
 MIN_SHARE = 0.7
 """Of the corners that must be found for sure; with fewer something else is wrong."""
 SECTOR_SEARCH_SIDE = 1300
-"""Long side in pixels of the picture that is searched last, with the slow method."""
+"""Long side in pixels of the picture that is searched by sectors first."""
 
 
 def find_checkerboard(grey: Grey, board: Board) -> Found | None:
@@ -42,30 +42,30 @@ def find_checkerboard(grey: Grey, board: Board) -> Found | None:
 
 def _search(grey: Grey, columns: int, rows: int) -> Points | None:
     size = (columns, rows)
-    # The search by squares first, which is the fastest by far where the board is plain to see.  The one by sectors
-    # needs no light margin, and bears noise and covered corners.
+    # The search by squares first, which is the fastest by far where the board is plain to see; on a full picture of
+    # another board it takes minutes.  The one by sectors needs no light margin, and bears noise and covered corners.
     attempts = (
-        lambda: _by_squares(grey, size, REDUCED_SIDE, cv2.CALIB_CB_FAST_CHECK),
-        lambda: _by_sectors(grey, size, 0),
-        lambda: _by_sectors(grey, size, cv2.CALIB_CB_NORMALIZE_IMAGE),
-        lambda: _by_sectors(grey, size, cv2.CALIB_CB_EXHAUSTIVE),
-        lambda: _by_squares(grey, size, MAX_SEARCH_SIDE, cv2.CALIB_CB_FAST_CHECK),
-        lambda: _by_squares(grey, size, REDUCED_SIDE, 0),
+        lambda: _by_squares(grey, size, cv2.CALIB_CB_FAST_CHECK),
+        lambda: _by_sectors(grey, size, SECTOR_SEARCH_SIDE, 0),
+        lambda: _by_sectors(grey, size, SECTOR_SEARCH_SIDE, cv2.CALIB_CB_NORMALIZE_IMAGE),
+        lambda: _by_sectors(grey, size, SECTOR_SEARCH_SIDE, cv2.CALIB_CB_EXHAUSTIVE),
+        lambda: _by_sectors(grey, size, MAX_SEARCH_SIDE, 0),
+        lambda: _by_squares(grey, size, 0),
     )
     return next((corners for attempt in attempts if (corners := attempt()) is not None), None)
 
 
-def _by_squares(grey: Grey, size: tuple[int, int], side: int, extra: int) -> Points | None:
-    if side > REDUCED_SIDE >= max(grey.shape):
-        return None  # that picture was searched already
-    small, scale = _reduced(grey, side)
+def _by_squares(grey: Grey, size: tuple[int, int], extra: int) -> Points | None:
+    small, scale = _reduced(grey, REDUCED_SIDE)
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | extra
     found, corners = cv2.findChessboardCorners(small, size, flags=flags)
     return _enlarged(np.asarray(corners, np.float64).reshape(-1, 2), scale) if found else None
 
 
-def _by_sectors(grey: Grey, size: tuple[int, int], flags: int) -> Points | None:
-    small, scale = _reduced(grey, SECTOR_SEARCH_SIDE)
+def _by_sectors(grey: Grey, size: tuple[int, int], side: int, flags: int) -> Points | None:
+    if side > SECTOR_SEARCH_SIDE >= max(grey.shape):
+        return None  # that picture was searched already
+    small, scale = _reduced(grey, side)
     found, corners = cv2.findChessboardCornersSB(small, size, flags=flags)
     return _enlarged(np.asarray(corners, np.float64).reshape(-1, 2), scale) if found else None
 
