@@ -26,7 +26,7 @@ from slabcell.calibration.model import Calibration, CameraIdentity, Lens, TableP
 from slabcell.catalogue import Fault as CellFault
 from slabcell.catalogue import entry
 from slabcell.cell.cell import Cell
-from slabcell.cell.ledger import Ledger, LedgerFile
+from slabcell.cell.ledger import Ledger, LedgerError, LedgerFile
 from slabcell.cell.records import OfferRecord, OfferState, PlacementRecord
 from slabcell.cell.settings import CellSettings
 from slabcell.geometry import PlanarPose, Polygon, RigidTransform2D
@@ -322,15 +322,21 @@ class Run:
             return number == CellFault.TAKE_SLAB_OFF
         if number in {CellFault.PART_LOST, CellFault.PLACEMENT_UNKNOWN}:
             self.table.find_lost()
-            for result_id, slot in self.ask_cell(self.unknown()):
-                self.ask_cell(self.cell.resolve(result_id, placed=self.table.in_slot(slot)))
+            for result_id, slot in self.ask_cell(self.unknown):
+                self.ask_cell(lambda r=result_id, s=slot: self.cell.resolve(r, placed=self.table.in_slot(s)))
         return True
 
     async def unknown(self):
         return [(offer.result_id, offer.slot) for offer in await self.cell._desk.unknown()]
 
-    def ask_cell(self, coroutine):
-        return asyncio.run_coroutine_threadsafe(coroutine, self.loop).result(30)
+    def ask_cell(self, question):
+        """Ask the cell that runs; one that is just being started again is asked once more, as a person would."""
+        for _ in range(100):
+            try:
+                return asyncio.run_coroutine_threadsafe(question(), self.loop).result(30)
+            except LedgerError:
+                time.sleep(0.1)
+        raise AssertionError("the cell does not come back")
 
     def robot_lives(self, address):
         """Start the robot, and start it again after each failure, as an operator does."""

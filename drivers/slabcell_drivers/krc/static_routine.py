@@ -104,6 +104,9 @@ class RoutineChecker:
             self._add(parameter.name, parameter.place, type_)
         names = {parameter.name for parameter in self._routine.parameters}
         for statement in self._routine.body:
+            if isinstance(statement, Struct | EnumDecl):
+                self._project.declare(statement, self._scope)
+        for statement in self._routine.body:
             if not isinstance(statement, Declaration):
                 continue
             if self._project.find_type(statement.type_name, self._scope) is None:

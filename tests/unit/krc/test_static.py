@@ -167,6 +167,11 @@ def test_data_lists_of_the_system_may_stand_in_files_without_their_dollar():
     assert found("DEF t()\nEND\n", other_dat="DEFDAT another\nENDDAT\n") == [(1, "error", "data-name")]
 
 
+def test_a_routine_may_declare_types_of_its_own():
+    text = "DEF t()\nSTRUC pair REAL a, INT b\nENUM tint red,green\npair p\ntint c\np.b=2\nc=#red\nEND\n"
+    assert found(text) == []
+
+
 def test_names_have_24_characters_at_most_and_no_digit_first():
     assert found("DEF t()\nINT abcdefghijklmnopqrstuvwx\nEND\n") == []
     assert found("DEF t()\nINT abcdefghijklmnopqrstuvwxy\nEND\n") == [(2, "error", "name-length")]
