@@ -50,6 +50,8 @@ async def one_cycle(folder: Path) -> Path:
     settings = CellSettings(
         *(scene.table.frame, scene.assembly.frame, Frame(z_mm=260.0), Polygon.from_points(scene.table.pick_area)),
         check_assembly_is_empty=False,
+        camera_timeout_s=60.0,  # the picture is rendered, on whatever machine this is
+        vision_timeout_s=60.0,
     )
     ledger = await Ledger.open(folder / "ledger.sqlite")
     recipe = load_recipe(CONFIG / "recipes" / "dresden.toml")
