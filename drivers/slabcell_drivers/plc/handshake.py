@@ -27,6 +27,10 @@ class LinkLostError(OSError):
     """The cell did not answer in time."""
 
 
+class SessionLostError(LinkLostError):
+    """The cell has begun another session: the robot has to greet again."""
+
+
 class PlcHandshake:
     """Asks through a port.  ``write_words`` limits how many registers go in one write, as small PLCs do."""
 
@@ -60,6 +64,8 @@ class PlcHandshake:
                 if not self._port.connected:
                     await self._port.connect()
                 answer = await self._ask_once(request, min(deadline_s, self._clock() + self._ask_again_s))
+            except SessionLostError:
+                raise
             except OSError as error:  # a poll that failed
                 last_error = error
                 await asyncio.sleep(self._poll_s)
@@ -87,11 +93,12 @@ class PlcHandshake:
         except RegisterValueError:
             self.foreign_answers += 1
             return None
-        of_session = request.type is RequestType.HELLO or answer.session == request.session
-        if answer.acknowledges == request.sequence and of_session:
-            return answer
-        self.foreign_answers += 1
-        return None
+        if answer.acknowledges != request.sequence:
+            self.foreign_answers += 1
+            return None
+        if request.type is not RequestType.HELLO and answer.session != request.session:
+            raise SessionLostError(f"the cell speaks in session {answer.session}, the request was of {request.session}")
+        return answer
 
     async def _read(self, area: Area) -> list[int]:
         start, count = self._map.span(area)

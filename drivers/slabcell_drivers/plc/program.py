@@ -225,6 +225,9 @@ class JobProgram:
     async def _hello(self) -> Answer:
         self._session = 0
         answer = await self._request(RequestType.HELLO, self.timeouts.answer_s)
+        if answer.code == ResultCode.BAD_REQUEST and answer.sequence > self.memory.sequence:
+            self.memory.sequence = answer.sequence  # ours was lost: count on from the cell's
+            answer = await self._request(RequestType.HELLO, self.timeouts.answer_s)
         self._require_ok(answer)
         self._session, self._ready = answer.session, True
         return answer

@@ -56,7 +56,7 @@ class Answering:
             try:
                 self._encode(answer)
             except ValueError as error:
-                _log.exception("robot.answer_unsendable", request=request.type.name)
+                _log.error("robot.answer_unsendable", request=request.type.name, error=str(error))
                 return _failure(request, printable(str(error)))
         return dataclasses.replace(answer, acknowledges=request.sequence)
 

@@ -10,7 +10,11 @@ from slabcell_drivers.robot.frame import Frame
 from slabcell_drivers.robot.link_events import Direction, EndReason
 from slabcell_drivers.robot.protocol import Answer, LinkState, Offer, Request, RequestType, ResultCode
 
+from .conftest import RIGS
+
 pytestmark = pytest.mark.integration
+
+MODBUS_RIGS = [rig for rig in RIGS if rig.name.startswith("modbus")]
 
 
 async def echo(request):
@@ -237,3 +241,22 @@ async def test_a_hook_that_raises_is_an_end_of_the_connection_and_not_of_the_lin
                 return
         async with rig.robot(link) as robot:
             assert (await robot.ask(question(2))).acknowledges == 2
+
+
+@pytest.mark.parametrize("rig", MODBUS_RIGS, ids=lambda rig: rig.name)
+async def test_what_a_gateway_brings_back_from_long_ago_never_reaches_the_cell(rig):
+    seen = []
+
+    async def handler(request):
+        seen.append((request.type.name, request.sequence))
+        return await echo(request)
+
+    rig = rig()
+    async with rig.serving(handler) as link, rig.robot(link) as robot:
+        for number in (4, 5):
+            await robot.ask(question(number, RequestType.HELLO))
+        stale = await robot.ask(question(4, RequestType.HELLO))
+        assert (stale.code, stale.sequence) == (ResultCode.BAD_REQUEST, 5)
+        assert (await robot.ask(question(5, RequestType.HELLO))).code == ResultCode.OK
+        assert (await robot.ask(question(6))).code == ResultCode.OK
+    assert seen == [("HELLO", 4), ("HELLO", 5), ("HELLO", 5), ("NEXT", 6)]

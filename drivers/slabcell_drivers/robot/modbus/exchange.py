@@ -1,5 +1,9 @@
 """Is there a request, and may its answer be shown?  The cell's side of the handshake; pure.
 
+A gateway may bring back what a PLC wrote long ago.  So sequence numbers only rise: a request that is neither the last
+one again nor newer is refused here, and the cell never hears of it.  The refusal tells the last number, from which a
+PLC that has lost its own counts on.
+
 A request stands while the toggle of the request differs from that of the answer.  It is taken once it is whole, and
 taken once: until its answer is shown the cell works on it, whatever is written meanwhile.  If by then the PLC asks
 something else, because it has given up and begun anew, the answer is dropped and the new request is taken.
@@ -14,6 +18,8 @@ from slabcell_drivers.robot.protocol import Answer, Request, RequestType, Result
 
 __all__ = ["Exchange"]
 
+STALE = "Old request. Count on from the answer's sequence number."
+
 
 class Exchange:
     """The state of the handshake: which toggle was answered, and what is being worked on."""
@@ -23,6 +29,10 @@ class Exchange:
         self._answered = 0
         self._publication = 0
         self._taken: list[int] | None = None
+        self._last: list[int] = []
+        self._last_sequence = -1
+        self.stale = 0
+        """How often an old request was refused."""
         self.torn = 0
         """How often a request was seen that was not whole (yet)."""
 
@@ -56,6 +66,11 @@ class Exchange:
             self.torn += 1
             return None
         self._taken = list(request_words)
+        session, sequence = (self._number(name, request_words) for name in ("session", "sequence"))
+        if self._taken[:-1] != self._last and sequence <= self._last_sequence:
+            self.stale += 1
+            return Answer(session, self._last_sequence, sequence, ResultCode.BAD_REQUEST, message=STALE)
+        self._last, self._last_sequence = self._taken[:-1], sequence
         try:
             request = decode_request(self._map, request_words)
         except InvalidRequestError as error:
@@ -79,6 +94,10 @@ class Exchange:
         self._publication = (self._publication + 1) & 0xFFFFFFFF
         self._answered = taken[-1]
         return encode_answer(self._map, answer, publication=self._publication, toggle=self._answered)
+
+    def _number(self, name: str, request_words: Sequence[int]) -> int:
+        register, start = self._map.register(Area.REQUEST, name), self._map.span(Area.REQUEST)[0]
+        return self._map.number(register, request_words[register.address - start : register.end - start])
 
     def drop(self) -> None:
         """Forget the request that was taken: it still stands, and will be taken again."""
