@@ -22,6 +22,8 @@ VERBS: Final[dict[str, tuple[str, str, str]]] = {
     "status": ("slabcell.cli.status", "status_command", "Show how the running cell is."),
     "job": ("slabcell.cli.job", "job_app", "Show jobs, and what became of their slabs."),
     "alarms": ("slabcell.cli.alarms", "alarms_app", "Show alarms, and acknowledge or shelve them."),
+    "trigger": ("slabcell.cli.trigger", "trigger_command", "Have the running cell take a picture, and offer nothing."),
+    "verify": ("slabcell.cli.trigger", "verify_command", "Have the running cell measure how the slabs lie."),
     "cell": ("slabcell.cli.cell", "cell_app", "Halt the running cell, have it go on, step, or clear an error."),
     "config": ("slabcell.cli.config", "config_app", "Check and show the configuration of the cell."),
     "events": ("slabcell.cli.events", "events_command", "Follow what happens in the running cell."),

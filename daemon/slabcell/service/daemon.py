@@ -38,6 +38,7 @@ from slabcell.service.history import History
 from slabcell.service.ledger_view import LedgerView
 from slabcell.service.light_config import LightReport, with_light
 from slabcell.service.links import Links
+from slabcell.service.metrics import Metrics
 from slabcell.service.notify import notify, watchdog_interval_s
 from slabcell.service.robot_link import serve_robot
 from slabcell.service.robot_watch import RobotWatch
@@ -133,6 +134,9 @@ async def _running(
             bundles=BundleShelf(folder / "bundles"),
             tell_config=lambda content: feed.add("config", content),
         )
+        metrics = Metrics(context, camera)
+        context.metrics = metrics.text
+        stack.callback(cell.subscribe(metrics.see))
         keeper = CameraKeeper(camera, cell, links, lambda: cell.calibration)
         disk = DiskWatch(folder, cell.alarms, links)
         await stack.enter_async_context(_beside(keeper.run(), disk.run()))

@@ -16,7 +16,18 @@ from slabcell.service.api.endpoint import Endpoint, make_route
 from slabcell.service.api.idempotency import Once
 from slabcell.service.api.openapi import describe
 from slabcell.service.api.problems import ProblemError, respond
-from slabcell.service.api.resources import alarms, control, cycles, events, frames, jobs, looking, results, status
+from slabcell.service.api.resources import (
+    alarms,
+    control,
+    cycles,
+    events,
+    frames,
+    jobs,
+    looking,
+    metrics,
+    results,
+    status,
+)
 
 __all__ = ["ENDPOINTS", "description", "make_app"]
 
@@ -30,6 +41,7 @@ ENDPOINTS: tuple[Endpoint[ApiContext], ...] = (
     *alarms.ENDPOINTS,
     *control.ENDPOINTS,
     *events.ENDPOINTS,
+    *metrics.ENDPOINTS,
 )
 
 

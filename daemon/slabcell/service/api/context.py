@@ -35,4 +35,5 @@ class ApiContext:
     frames: FrameStore
     bundles: BundleShelf
     tell_config: Callable[[dict[str, Any]], None] = lambda _: None
+    metrics: Callable[[], bytes] | None = None
     pending_reload: list[str] = field(default_factory=list[str])

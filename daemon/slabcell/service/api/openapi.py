@@ -20,6 +20,7 @@ __all__ = ["API_VERSION", "describe"]
 
 API_VERSION: Final = "1.0.0"
 _REFERENCE: Final = "#/components/schemas/{model}"
+_SEPARATORS: Final = re.compile(r"[/{}.]+")
 _PARAMETER: Final = re.compile(r"\{(\w+)(?::\w+)?\}")
 
 _KEY: Final[dict[str, Any]] = {
@@ -70,7 +71,14 @@ def _models(endpoints: tuple[Endpoint[Any], ...]) -> list[type[BaseModel]]:
 
 
 def _operation(endpoint: Endpoint[Any], definitions: Json) -> Json:
-    name = endpoint.path.removeprefix("/v1/").replace("{", "").replace("}", "").replace("/", "_").replace(".", "_")
+    name = (
+        endpoint.path.removeprefix("/v1")
+        .removeprefix("/")
+        .replace("{", "")
+        .replace("}", "")
+        .replace("/", "_")
+        .replace(".", "_")
+    )
     operation: Json = {
         "operationId": f"{endpoint.method.lower()}_{name}",
         "summary": endpoint.summary,
