@@ -8,6 +8,7 @@
 ``calibration.json``      ``slabcell.calibration/1``
 ``result.json``           ``slabcell.locate/1``
 ``ledger.json``           what the ledger holds of the job when the cycle ended
+``telegrams.json``        what went over the wire for them, byte by byte, with the time of the monotonic clock
 ``transcript.json``       the requests of the robot and the answers to them
 ``as-built.*``            with a verification: how the slabs lie, as JSON, CSV and picture
 ========================  ==============================================================================
@@ -100,6 +101,7 @@ def bundle_bytes(cycle: CycleRecord, pixels: Pixels | None, context: BundleConte
         **context.files,
         "ledger.json": _json({"schema": "slabcell.ledger/1", **rows}),
         "transcript.json": _json(cycle.transcript),
+        "telegrams.json": _json(cycle.telegrams),
     }
     if cycle.result is not None:
         files["result.json"] = _json(cycle.result.to_document("frame.png"))

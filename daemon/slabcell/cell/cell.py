@@ -326,6 +326,10 @@ class Cell:
             self._cycles.change(BundleContext(recipe, calibration, settings, self._arm))
             self.recipe, self.settings, self._calibration = recipe, settings, calibration
 
+    def overhear(self, direction: str, telegram: bytes, at_s: float) -> None:
+        """Take a telegram as it went over the wire, for the bundles; ``direction`` is received or sent."""
+        self._cycles.overhear(direction, telegram, at_s)
+
     def robot_link(self, *, connected: bool) -> None:
         """Take notice of the robot's connection.  One that ends without a farewell is an alarm until it is back."""
         if connected:

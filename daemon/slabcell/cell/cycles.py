@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 from slabcell.cell.bundle import BundleContext
 from slabcell.cell.bundle_store import BundleWriter
@@ -17,6 +17,9 @@ from slabcell_drivers.robot.protocol import Answer, Request
 __all__ = ["Cycles"]
 
 KEPT_RECORDS = 200
+KEPT_TELEGRAMS = 4000
+ANSWER_SENT_S = 0.5
+"""An answer is on the wire within this time, or not at all."""
 KEPT_EXCHANGES = 2000
 """Of one cycle; a robot that asks NEXT for ever must not fill the memory."""
 
@@ -45,6 +48,9 @@ class Cycles:
         self._emit = emit
         self._failed = failed
         self._ended: list[CycleRecord] = []
+        self._telegrams: deque[tuple[int, dict[str, object]]] = deque(maxlen=KEPT_TELEGRAMS)
+        self._heard = 0
+        self._sent = asyncio.Event()
         self._keeping: set[asyncio.Task[None]] = set()
         if bundles is not None:
             bundles.failed = failed
@@ -60,9 +66,18 @@ class Cycles:
         if self._context is not None:
             self._context = context
 
+    def overhear(self, direction: str, telegram: bytes, at_s: float) -> None:
+        """Take what went over the wire to or from the robot; it is kept with the cycles it belongs to."""
+        self._heard += 1
+        text = telegram.decode("utf-8", errors="backslashreplace")
+        self._telegrams.append((self._heard, {"at_s": round(at_s, 6), "direction": direction, "telegram": text}))
+        if direction == "sent":
+            self._sent.set()
+
     def begin(self, cycle: CycleRecord) -> None:
         """Make this the present cycle; one before it ends."""
         self.end()
+        cycle.heard_from = self._heard  # its trigger was heard last
         self.present = cycle
         self.records.append(cycle)
 
@@ -81,6 +96,8 @@ class Cycles:
             for cycle in touched.values():
                 if len(cycle.transcript) < KEPT_EXCHANGES:
                     cycle.transcript.append({"request": asdict(request), "answer": asdict(answer)})
+        if self._ended:
+            self._sent.clear()
         for cycle in self._ended:
             self._emit(CycleEnded(cycle))
             if self._bundles is None or self._context is None:
@@ -103,5 +120,17 @@ class Cycles:
         except SlabcellError as error:
             self._failed(str(error))
             return
-        bundles.keep(cycle, context, rows)
+        await self._answered()
+        telegrams = [entry for number, entry in self._telegrams if number >= cycle.heard_from]
+        bundles.keep(replace(cycle, telegrams=telegrams), context, rows)  # the record itself stays small
         cycle.frame = None  # pictures are large: the record stays, the picture is in the bundle
+
+    async def _answered(self) -> None:
+        """Wait until the answer that ended a cycle is on the wire, if there is a wire that tells."""
+        if not self._telegrams:
+            return
+        try:
+            async with asyncio.timeout(ANSWER_SENT_S):
+                await self._sent.wait()
+        except TimeoutError:  # the connection broke first: there is nothing more to keep
+            return

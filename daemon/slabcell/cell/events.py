@@ -38,6 +38,7 @@ __all__ = [
 class CycleRecord:
     """One trigger and what came of it.  ``times_ms`` holds the stages in their order, and ``total``.
 
+    ``transcript`` holds requests and answers, ``telegrams`` what went over the wire for them, where a link says so.
     ``number`` is given by who keeps a history, 0 where nobody does.
     """
 
@@ -58,8 +59,10 @@ class CycleRecord:
     laid_slots: tuple[int, ...] = ()
     correction_mm: tuple[float, float] = (0.0, 0.0)
     transcript: list[dict[str, object]] = field(default_factory=list[dict[str, object]])
+    telegrams: list[dict[str, object]] = field(default_factory=list[dict[str, object]])
     number: int = 0
     frame_id: int | None = None
+    heard_from: int = 0
     began_utc: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="milliseconds"))
 
 

@@ -18,6 +18,7 @@ MEMBERS: Final = {
     "frame.png": "image/png",
     "result.json": "application/json",
     "transcript.json": "application/json",
+    "telegrams.json": "application/json",
     "as-built.json": "application/json",
     "as-built.csv": "text/csv",
     "as-built.svg": "image/svg+xml",

@@ -16,30 +16,26 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import cv2
-import numpy as np
-import numpy.typing as npt
 
 from slabcell import __version__
 from slabcell.calibration import Calibration, save_calibration
 from slabcell.cell import events
-from slabcell.cell.bundle_store import BundleWriter
 from slabcell.cell.cell import Cell
-from slabcell.cell.ledger import Ledger
 from slabcell.cell.records import OfferState
-from slabcell.cell.settings import CellSettings
 from slabcell.errors import ConfigurationError, SlabcellError, UsageError
-from slabcell.geometry import Polygon
 from slabcell.recipe import Recipe, load_recipe
-from slabcell.service.config import CellConfig
+from slabcell.service.builder import CellParts, cell_settings, open_cell
+from slabcell.service.config import CellConfig, FrameConfig
 from slabcell.service.config_layers import load_config
 from slabcell.service.demo_camera import DemoCamera, demo_camera
 from slabcell.service.demo_robot import DemoLink, demo_robot
-from slabcell.service.simulated import SimulatedCell, calibrate_from_boards
+from slabcell.service.simulated import BoardPoses, SimulatedCell, calibrate_from_boards
 from slabcell.vision.overlay import draw_overlay
+from slabcell.vision.result import LocateResult
 from slabcell_drivers.camera import ImageFrame, Pixels
 from slabcell_drivers.krc import RunResult
 from slabcell_drivers.robot.arm import ArmModel, arm_by_name
-from slabcell_drivers.simulation import Placement, Scene, SceneError, camera_views, load_scene, plane_views
+from slabcell_drivers.simulation import Placement, Scene, SceneError, load_scene
 
 __all__ = ["DemoOptions", "Progress", "run_demo", "scene_names"]
 
@@ -81,19 +77,6 @@ class _Parts:
     recipe: Recipe
     arm: ArmModel
 
-    @property
-    def settings(self) -> CellSettings:
-        """The cell's settings, with both bases where the scene has them: as an integrator teaches them."""
-        return CellSettings(
-            pick_base=self.scene.table.frame,
-            place_base=self.scene.assembly.frame,
-            tool=self.config.robot.tool.to_frame(),
-            pick_area=Polygon.from_points(self.config.table.pick_area),
-            tolerance_mm=LIMIT_MM,
-            tolerance_deg=LIMIT_DEG,
-            camera_timeout_s=self.config.camera.timeout_s,
-        )
-
 
 def scene_names() -> list[str]:
     """Return the names of the shipped scenes."""
@@ -110,10 +93,10 @@ async def run_demo(options: DemoOptions, progress: Progress) -> Document:
     out = _folder(options.out)
     simulated = SimulatedCell(parts.scene, options.seed, parts.arm, parts.config.robot.tool.to_frame())
 
-    boards = len(camera_views(parts.scene, options.seed)) + len(plane_views(parts.scene))
-    progress.stage("calibrating from pictures of a board", boards)
+    boards = BoardPoses.of(parts.scene, options.seed)
+    progress.stage("calibrating from pictures of a board", len(boards))
     calibration, lens, plane = await asyncio.to_thread(
-        calibrate_from_boards, parts.scene, options.seed, progress.advance
+        calibrate_from_boards, parts.scene, boards, options.seed, progress.advance
     )
     save_calibration(out / "calibration.json", calibration)
 
@@ -126,7 +109,7 @@ async def run_demo(options: DemoOptions, progress: Progress) -> Document:
     after = await asyncio.to_thread(simulated.picture, 1_000_000)
     placements = simulated.world.placements([slot.vertices for slot in parts.recipe.template.slots])
     document = _document(options, parts, placements, cell_run)
-    document["calibration"] = {"rms_px": lens.rms_px, "plane_rms_px": plane.rms_px, "views": boards}
+    document["calibration"] = {"rms_px": lens.rms_px, "plane_rms_px": plane.rms_px, "views": len(boards)}
     document["files"] = await asyncio.to_thread(_write_files, out, document, before, after, cell_run)
     return document
 
@@ -148,8 +131,8 @@ class _Run:
         self._calibration = calibration
         self._progress = progress
         self._frame: ImageFrame | None = None
-        self.seen: npt.NDArray[np.uint8] | None = None
-        """The first picture with what the vision found in it."""
+        self.seen: tuple[ImageFrame, LocateResult] | None = None
+        """The first picture, and what the vision found in it."""
         self.cycles: list[events.CycleRecord] = []
         self.scores: dict[int, float] = {}
         self.result: RunResult | None = None
@@ -175,25 +158,9 @@ class _Run:
 
     @contextlib.asynccontextmanager
     async def _cell(self, out: Path) -> AsyncGenerator[Cell]:
-        ledger = await Ledger.open(out / "ledger.sqlite")
-        try:
-            async with demo_camera(self._camera, self._simulated) as camera:
-                cell = Cell(
-                    camera,
-                    self._calibration,
-                    self._parts.recipe,
-                    arm=self._parts.arm,
-                    settings=self._parts.settings,
-                    ledger=ledger,
-                    bundles=BundleWriter(out / "bundles"),
-                )
-                await cell.start()
-                try:
-                    yield cell
-                finally:
-                    await cell.stop()
-        finally:
-            await ledger.close()
+        parts = CellParts(self._calibration, self._parts.recipe, self._parts.arm, cell_settings(self._parts.config))
+        async with demo_camera(self._camera, self._simulated) as camera, open_cell(parts, camera, out) as (cell, _):
+            yield cell
 
     def _see(self, event: events.Event) -> None:
         match event:
@@ -203,7 +170,7 @@ class _Run:
             case events.FrameTaken(frame):
                 self._frame = frame
             case events.PartsLocated(result) if self.seen is None and self._frame is not None:
-                self.seen = draw_overlay(self._frame.pixels, result)
+                self.seen = self._frame, result
             case events.CycleEnded(cycle):
                 self.cycles.append(cycle)
             case _:
@@ -227,8 +194,23 @@ def _read(name: str) -> _Parts:
         except SceneError as error:
             raise ConfigurationError(str(error)) from error
         recipe = load_recipe(recipe_file)
-    table = config.table.model_copy(update={"pick_area": list(scene.table.pick_area)})
-    return _Parts(config.model_copy(update={"table": table}), scene, recipe, arm_by_name(config.robot.model))
+    return _Parts(_as_built(config, scene), scene, recipe, arm_by_name(config.robot.model))
+
+
+def _as_built(config: CellConfig, scene: Scene) -> CellConfig:
+    """Return the configuration with both bases where the scene has them: as an integrator teaches them."""
+    bases = {
+        "pick_base": FrameConfig.from_frame(scene.table.frame),
+        "place_base": FrameConfig.from_frame(scene.assembly.frame),
+    }
+    limits = {"tolerance_mm": LIMIT_MM, "tolerance_deg": LIMIT_DEG}
+    return config.model_copy(
+        update={
+            "robot": config.robot.model_copy(update=bases),
+            "table": config.table.model_copy(update={"pick_area": list(scene.table.pick_area)}),
+            "verification": config.verification.model_copy(update=limits),
+        }
+    )
 
 
 def _folder(out: Path) -> Path:
@@ -309,7 +291,8 @@ def _write_files(out: Path, document: Document, before: Pixels, after: Pixels, r
     """Write the pictures and the document; return the paths by what they are."""
     pictures: dict[str, Pixels] = {"before": before, "after": after}
     if run.seen is not None:
-        pictures["overlay"] = run.seen
+        frame, result = run.seen
+        pictures["overlay"] = draw_overlay(frame.pixels, result)
     paths = {"folder": str(out), "bundles": str(out / "bundles"), "calibration": str(out / "calibration.json")}
     for name, picture in pictures.items():
         path = out / f"{name}.png"

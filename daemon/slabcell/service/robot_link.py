@@ -62,10 +62,11 @@ def _make(config: CellConfig, robot: RobotWatch, gripper: ModbusGripper | None) 
     krl, eki, modbus = config.robot.krl, config.robot.eki, config.robot.modbus
     match config.robot.link:
         case "eki" if krl.robot_connects:
-            return EkiServer(eki.host, eki.port, on_state=robot.link_changed), (eki.host, eki.port)
+            link = EkiServer(eki.host, eki.port, on_state=robot.link_changed, on_telegram=robot.telegram)
+            return link, (eki.host, eki.port)
         case "eki":
             address = (krl.robot_ip, krl.robot_port)
-            return EkiClient(*address, on_state=robot.link_changed), address
+            return EkiClient(*address, on_state=robot.link_changed, on_telegram=robot.telegram), address
         case "modbus-tcp":
             return make_modbus_link("modbus-tcp", modbus, gripper, robot.link_changed), (modbus.host, modbus.port)
         case "modbus-rtu":

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from slabcell.cell.cell import Cell
 from slabcell.service.links import LinkName, Links, LinkState
+from slabcell_drivers.robot.link_events import Direction
 from slabcell_drivers.robot.protocol import Answer, Request, RobotLink
 from slabcell_drivers.robot.protocol import LinkState as RobotLinkState
 
@@ -31,6 +32,10 @@ class RobotWatch:
         """Answer a request: what a `RobotLink` needs."""
         self.last, self.last_s = request, self._clock()
         return await self._cell.handle(request)
+
+    def telegram(self, direction: Direction, telegram: bytes, at_s: float) -> None:
+        """Have a telegram kept with its cycle: the hook of a link."""
+        self._cell.overhear(direction.value, telegram, at_s)
 
     def link_changed(self, state: RobotLinkState) -> None:
         """Note where the link stands, and tell the cell: the hook of a `RobotLink`."""

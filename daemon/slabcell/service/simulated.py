@@ -4,8 +4,11 @@ The world is the truth: slabs move in it only when the gripper carries them.  Th
 moves its tool, and two wires join robot and gripper: an output that grips and an input that feels a part.
 """
 
+from __future__ import annotations
+
 import itertools
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 
@@ -26,7 +29,7 @@ from slabcell_drivers.robot import Frame
 from slabcell_drivers.robot.arm import ArmModel
 from slabcell_drivers.simulation import Scene, World, camera_views, plane_views, render_board, render_world
 
-__all__ = ["GripperWires", "SimulatedCell", "calibrate_from_boards", "shipped_programs"]
+__all__ = ["BoardPoses", "GripperWires", "SimulatedCell", "calibrate_from_boards", "shipped_programs"]
 
 CHANNEL = "SlabCell"
 TOOL_NUMBER, PICK_BASE_NUMBER, PLACE_BASE_NUMBER = 1, 1, 2
@@ -112,8 +115,25 @@ class SimulatedCell:
         return krc
 
 
+@dataclass(frozen=True, slots=True)
+class BoardPoses:
+    """Where the board is pictured: held up before the camera, and laid on the table, in the robot's root frame."""
+
+    held: tuple[Frame, ...]
+    laid: tuple[Frame, ...]
+
+    @classmethod
+    def of(cls, scene: Scene, seed: int) -> BoardPoses:
+        """Return the poses for a scene."""
+        return cls(tuple(camera_views(scene, seed)), tuple(plane_views(scene)))
+
+    def __len__(self) -> int:
+        """Return how many pictures that makes."""
+        return len(self.held) + len(self.laid)
+
+
 def calibrate_from_boards(
-    scene: Scene, seed: int, done: Callable[[str], None]
+    scene: Scene, poses: BoardPoses, seed: int, done: Callable[[str], None]
 ) -> tuple[Calibration, CameraResult, PlaneResult]:
     """Calibrate the scene's camera as an integrator would: from pictures of a board, held up and laid on the table.
 
@@ -130,8 +150,8 @@ def calibrate_from_boards(
             picture = render_board(scene.camera, scene.optics, scene.board, pose, seed=seed, frame_number=number)
             yield f"{kind} {index + 1}", picture
 
-    held, failures = detect_boards(pictures("view", camera_views(scene, seed)), board, done=done)
-    laid, failures_on_table = detect_boards(pictures("table", plane_views(scene)), board, done=done)
+    held, failures = detect_boards(pictures("view", poses.held), board, done=done)
+    laid, failures_on_table = detect_boards(pictures("table", poses.laid), board, done=done)
     if failures or failures_on_table:
         raise CalibrationError("\n".join(failures + failures_on_table))
     lens = calibrate_camera(held, board, serial=scene.camera.serial)

@@ -2,11 +2,13 @@
 
 import json
 import os
+import select
 import signal
 import stat
 import subprocess
 import sys
 import threading
+import time
 import uuid
 from contextlib import suppress
 
@@ -17,6 +19,13 @@ from slabcell.errors import SlabcellError, UnavailableError
 pytestmark = [pytest.mark.integration, pytest.mark.timeout(180)]
 
 LIMIT_S = 60.0
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + LIMIT_S
+    while not condition():
+        assert time.monotonic() < deadline
+        select.select([], [], [], 0.02)
 
 
 def test_a_job_is_seen_from_its_first_event_to_its_last_slab(cell):
@@ -48,6 +57,15 @@ def test_a_job_is_seen_from_its_first_event_to_its_last_slab(cell):
         job = daemon.client.get("/v1/jobs/current")
         assert {offer["state"] for offer in job["offers"]} == {"placed"}
         assert all(abs(item["dx_mm"]) < 0.5 for item in job["placements"])
+        cycles = daemon.client.get("/v1/cycles")["cycles"]
+        assert [cycle["verification"] for cycle in cycles] == [True, False]
+        first = f"/v1/cycles/{cycles[1]['cycle']}"
+        wait_for(lambda: daemon.client.get(first)["bundle"])
+        telegrams = json.loads(daemon.client.fetch(f"{first}/files/telegrams.json").content)
+        assert 'Type="2"' in telegrams[0]["telegram"]
+        assert {item["direction"] for item in telegrams} == {"received", "sent"}
+        assert telegrams[-1]["direction"] == "sent"
+        assert daemon.client.fetch(f"{first}/files/frame.png").content.startswith(b"\x89PNG")
         shown = cell.slabcell("job", "show")
         assert "5 of 5 slots are laid" in shown.stdout, shown.stderr
         listed = json.loads(cell.slabcell("job", "list", "--json").stdout)

@@ -71,14 +71,7 @@ def _models(endpoints: tuple[Endpoint[Any], ...]) -> list[type[BaseModel]]:
 
 
 def _operation(endpoint: Endpoint[Any], definitions: Json) -> Json:
-    name = (
-        endpoint.path.removeprefix("/v1")
-        .removeprefix("/")
-        .replace("{", "")
-        .replace("}", "")
-        .replace("/", "_")
-        .replace(".", "_")
-    )
+    name = _SEPARATORS.sub("_", endpoint.path.removeprefix("/v1")).strip("_")
     operation: Json = {
         "operationId": f"{endpoint.method.lower()}_{name}",
         "summary": endpoint.summary,
