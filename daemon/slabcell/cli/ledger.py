@@ -15,6 +15,8 @@ from slabcell.cell.ledger import LedgerError, LedgerFile
 from slabcell.cell.ledger_export import export_document, read_export, restore, set_aside, write_export
 from slabcell.cell.records import OfferState
 from slabcell.errors import UsageError
+from slabcell.service.api.client import ApiClient, default_socket
+from slabcell.service.devices import InstanceLock
 
 __all__ = ["ledger_app"]
 
@@ -112,8 +114,20 @@ def resolve(
     verdict: Annotated[Verdict, typer.Argument(help="placed: the slab lies in its slot; failed: it does not.")],
     ledger: Where = None,
 ) -> None:
-    """Say what became of a slab of which nobody knows.  Look at its slot first."""
-    book = LedgerFile(_existing(ledger))
+    """Say what became of a slab of which nobody knows.  Look at its slot first.
+
+    A running daemon is told, so that it goes on; the file itself is changed only where no daemon runs.
+    """
+    if ledger is None and default_socket().exists():
+        typer.echo(ApiClient().post(f"/v1/ledger/{result}/resolve", {"verdict": verdict.value})["detail"])
+        return
+    path = _existing(ledger)
+    with InstanceLock(path.parent):
+        _resolve_in_file(path, result, verdict)
+
+
+def _resolve_in_file(path: Path, result: int, verdict: Verdict) -> None:
+    book = LedgerFile(path)
     try:
         offer = book.offer(result)
         if offer is None or offer.state is not OfferState.UNKNOWN:

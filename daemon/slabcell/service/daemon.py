@@ -19,6 +19,7 @@ import structlog
 
 from slabcell.cell.cell import Cell
 from slabcell.cell.ledger import Ledger
+from slabcell.service.active_recipe import RecipeShelf
 from slabcell.service.api.app import make_app
 from slabcell.service.api.context import ApiContext
 from slabcell.service.api.ring import EventRing
@@ -58,11 +59,13 @@ async def run_daemon(path: Path, *, ready: Callable[[tuple[str, int]], None] | N
     (the address is taken) before anything runs.
     """
     config = load_config(path)
-    parts = read_parts(config, path)
     folder = state_directory(config.state_directory)
+    shelf = RecipeShelf(config.recipe, folder)
+    parts = read_parts(config.model_copy(update={"recipe": shelf.active}), path)
     stopping, reload = asyncio.Event(), asyncio.Event()
     with _signals({signal.SIGTERM: stopping, signal.SIGINT: stopping, signal.SIGHUP: reload}), InstanceLock(folder):
         async with _running(config, parts, folder) as (context, address, ledger):
+            context.recipes = shelf
             recipe = context.cell.recipe.name
             _log.info("ready", cell=config.name, recipe=recipe, robot=f"{address[0]}:{address[1]}")
             if ready is not None:

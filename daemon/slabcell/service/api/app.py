@@ -25,6 +25,7 @@ from slabcell.service.api.resources import (
     jobs,
     looking,
     metrics,
+    recipes,
     results,
     status,
 )
@@ -36,6 +37,7 @@ ENDPOINTS: tuple[Endpoint[ApiContext], ...] = (
     *jobs.ENDPOINTS,
     *cycles.ENDPOINTS,
     *results.ENDPOINTS,
+    *recipes.ENDPOINTS,
     *frames.ENDPOINTS,
     *looking.ENDPOINTS,
     *alarms.ENDPOINTS,

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from slabcell.cell.cell import Cell
+from slabcell.service.active_recipe import RecipeShelf
 from slabcell.service.api.ring import EventRing
 from slabcell.service.api.stream import StreamSeats
 from slabcell.service.bundles import BundleShelf
@@ -35,5 +36,6 @@ class ApiContext:
     frames: FrameStore
     bundles: BundleShelf
     tell_config: Callable[[dict[str, Any]], None] = lambda _: None
+    recipes: RecipeShelf | None = None
     metrics: Callable[[], bytes] | None = None
     pending_reload: list[str] = field(default_factory=list[str])

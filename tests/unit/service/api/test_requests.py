@@ -3,19 +3,24 @@
 import asyncio
 import hashlib
 import json
+import shutil
 from pathlib import Path
 
 import pytest
 from openapi_spec_validator import validate
 
 from slabcell.catalogue import Fault
-from slabcell.errors import ConfigurationError, SlabcellError, UnavailableError
+from slabcell.cell.records import Job, JobState
+from slabcell.errors import ConfigurationError, RecipeError, SlabcellError, UnavailableError
+from slabcell.service.active_recipe import RecipeShelf
 from slabcell.service.api.app import description
 from slabcell.service.api.client import ApiClient
 from slabcell.service.api.server import listen
 from slabcell.service.history import CycleRow
 
 pytestmark = pytest.mark.unit
+
+CONFIG = Path(__file__).parents[4] / "config"
 
 
 @pytest.fixture
@@ -246,3 +251,45 @@ def test_a_socket_path_that_cannot_be_is_refused_with_its_limit(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigurationError, match="is no socket"):
         listen(tmp_path / "file", mode=0o660, group=None)
+
+
+async def test_a_recipe_is_activated_between_jobs_for_restarts_too(api, client, tmp_path):
+    shutil.copytree(CONFIG / "recipes", tmp_path / "recipes")
+    shutil.copytree(CONFIG / "templates", tmp_path / "templates")
+    (tmp_path / "recipes" / "broken.toml").write_text("[template]\nfile = 1\n")
+    shelf = api.recipes = RecipeShelf(tmp_path / "recipes" / "irregular.toml", tmp_path)
+    listed = (await asyncio.to_thread(client.get, "/v1/recipes"))["recipes"]
+    problems = {recipe["name"]: recipe["problem"] for recipe in listed}
+    assert problems.keys() >= {"broken", "dresden", "irregular"}
+    assert "broken.toml" in problems["broken"]
+    assert problems["dresden"] == ""
+    await asyncio.to_thread(client.post, "/v1/recipes/dresden/activate")
+    assert api.cell.recipe.name == "dresden"
+    assert (await asyncio.to_thread(client.get, "/v1/recipes/active"))["recipe"]["name"] == "dresden"
+    assert shelf.active == tmp_path / "recipes" / "dresden.toml"
+    for name in ("broken", "none", "..%2Fdresden"):
+        with pytest.raises(SlabcellError):
+            await asyncio.to_thread(client.post, f"/v1/recipes/{name}/activate")
+    assert api.cell.recipe.name == "dresden"
+    (tmp_path / "recipes" / "dresden.toml").unlink()
+    with pytest.raises(RecipeError, match="which is not there"):
+        _ = shelf.active
+    (tmp_path / "active-recipe.json").write_text("{")
+    with pytest.raises(RecipeError, match="is damaged"):
+        _ = shelf.active
+
+
+async def test_a_recipe_does_not_change_within_a_job(api, client, tmp_path):
+    shutil.copytree(CONFIG / "recipes", tmp_path / "recipes")
+    shutil.copytree(CONFIG / "templates", tmp_path / "templates")
+    api.recipes = RecipeShelf(tmp_path / "recipes" / "dresden.toml", tmp_path)
+    api.cell._desk.job = Job(1, 1, "squares", "a" * 64, 1, JobState.OPEN)
+    with pytest.raises(SlabcellError, match="a recipe changes"):
+        await asyncio.to_thread(client.post, "/v1/recipes/dresden/activate")
+    assert not (tmp_path / "active-recipe.json").exists()
+
+
+async def test_the_calibration_in_use_can_be_read(api, client):
+    document = (await asyncio.to_thread(client.get, "/v1/calibration"))["calibration"]
+    assert document["schema"] == "slabcell.calibration/1"
+    assert document["camera"]["width"] == 640
