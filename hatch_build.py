@@ -7,6 +7,7 @@ is built without the kernel and says so: the vision then runs the same computati
 """
 
 import os
+import platform
 import shutil
 import subprocess
 import sys
@@ -15,8 +16,11 @@ from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-SOURCE = Path("daemon/slabcell/vision/_kernel.c")
-LIBRARY = SOURCE.with_name("_kernel.so")
+ROOM = Path("daemon/slabcell/vision/native")
+LIBRARY = ROOM / "_kernel.so"
+# The same for x86 processors with these instructions; which one is used is decided where it runs.
+FAST_LIBRARY = ROOM / "_kernel_v3.so"
+FAST_FLAGS = ["-mavx2", "-mfma", "-mbmi2"]
 # Sums may be reordered, which lets the compiler use vector instructions; NaN and infinity keep their meaning.
 FLAGS = [
     "-std=c11", "-O3", "-fPIC", "-shared", "-Wall", "-Wextra",
@@ -37,7 +41,7 @@ class CustomBuildHook(BuildHookInterface[Any]):
             self.app.display_warning(f"slabcell: built without the compiled kernel: {problem}")
             return
         if self.target_name == "wheel":
-            build_data["artifacts"].append(str(LIBRARY))
+            build_data["artifacts"] += [str(made) for made in (LIBRARY, FAST_LIBRARY) if (root / made).exists()]
             # The kernel is called through ctypes: any Python 3 of this platform can use it.
             build_data["pure_python"] = False
             build_data["tag"] = f"py3-none-{_platform()}"
@@ -48,11 +52,19 @@ def compile_kernel(root: Path) -> str:
     compiler = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if not compiler:
         return "no C compiler found (cc, gcc or clang)"
-    made = root / LIBRARY
+    problem = _compile(root, compiler, LIBRARY, [])
+    if not problem and platform.machine() == "x86_64":
+        problem = _compile(root, compiler, FAST_LIBRARY, FAST_FLAGS)
+    return problem
+
+
+def _compile(root: Path, compiler: str, library: Path, flags: list[str]) -> str:
+    made = root / library
     temporary = made.with_suffix(f".{os.getpid()}.part")
-    command = [*compiler.split(), *FLAGS, "-o", str(temporary), str(root / SOURCE), "-lm"]
+    sources = [str(source) for source in sorted((root / ROOM).glob("*.c"))]
+    command = [*compiler.split(), *FLAGS, *flags, "-o", str(temporary), *sources, "-lm"]
     try:
-        # The command is the user's own C compiler on our own file.
+        # The command is the user's own C compiler on our own files.
         done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)  # noqa: S603
         if done.returncode:
             return f"{command[0]} failed: {done.stderr.strip()[-2000:]}"

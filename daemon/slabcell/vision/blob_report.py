@@ -93,7 +93,7 @@ def report_blobs(
 def _at_the_edge(rings: Rings, grey: Grey) -> npt.NDArray[np.float64]:
     """Return (blobs, EDGE_POINTS, 2) points of each outline in pixels, where the grey is half way between both sides.
 
-    Half a pixel outside of the rings where no edge is to be seen: those run through the centres of the blobs' pixels.
+    On the rings where no edge is to be seen.
     """
     count = len(rings)
     points = rings.resampled(EDGE_POINTS)
@@ -123,7 +123,7 @@ def _at_the_edge(rings: Rings, grey: Grey) -> npt.NDArray[np.float64]:
     after = np.take_along_axis(relative, first[:, :, None], axis=2)[:, :, 0]
     share = (before - 0.5) / np.where(before > after, before - after, np.inf)
     found = steps[np.maximum(first - 1, 0)] + EDGE_STEP_PX * share
-    usual = np.array([np.median(row[good]) if good.any() else 0.5 for row, good in zip(found, usable, strict=True)])
+    usual = np.array([np.median(row[good]) if good.any() else 0.0 for row, good in zip(found, usable, strict=True)])
     distance = np.where(usable, found, usual[:, None])
     distance = np.clip(distance, usual[:, None] - EDGE_SPREAD_PX, usual[:, None] + EDGE_SPREAD_PX)
     # Of five neighbours the middle one: a speck of dirt on an edge is no part of the outline.

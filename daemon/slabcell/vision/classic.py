@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slabcell.recipe import MatchingParameters
-from slabcell.vision.describe import Shapes
+from slabcell.vision.shapes import Shapes
 
 __all__ = ["classic_distances", "hu_moments"]
 

@@ -4,56 +4,28 @@ The outline is sampled at equal arc lengths; everything that matching compares c
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from slabcell.geometry import Points, Polygon
-from slabcell.vision.blobs import RawBlob
+from slabcell.vision.blobs import RawBlob, rings_of
+from slabcell.vision.kernel import engine
 from slabcell.vision.outline import Rings
 from slabcell.vision.plane import PlaneView
+from slabcell.vision.shapes import SAMPLES, Shapes
 
-__all__ = ["MIN_WALL_PX", "SAMPLES", "Shapes", "describe_blobs", "describe_polygons"]
+__all__ = ["MIN_WALL_PX", "describe_blobs", "describe_polygons", "describe_slots"]
 
-SAMPLES = 128
 # Samples of an outline from which the visible walls are taken away; finer, because corners shall stay.
 WALL_SAMPLES = 512
 # Visible walls narrower than this change a contour less than its own noise.
 MIN_WALL_PX = 0.7
 
 
-@dataclass(frozen=True, eq=False)
-class Shapes:
-    """Several outlines in one frame.
-
-    ``samples`` (n, SAMPLES) complex, x + iy in mm, counter-clockwise, minus ``middle``; ``middle`` (n,) complex mean of
-    the samples; ``area_mm2``, ``inertia`` (n,): area, and polar second moment over area squared; ``centroid`` (n, 2).
-    """
-
-    samples: npt.NDArray[np.complex128]
-    middle: npt.NDArray[np.complex128]
-    area_mm2: npt.NDArray[np.float64]
-    inertia: npt.NDArray[np.float64]
-    centroid: Points
-
-    def __len__(self) -> int:
-        return len(self.middle)
-
-
-def describe_rings(rings: Rings) -> Shapes:
-    """Return the features of polygons in mm, whichever way they turn."""
-    rings = rings.counter_clockwise()
-    area, centroid, inertia = rings.moments
-    points = rings.resampled(SAMPLES)
-    samples = points[:, :, 0] + 1j * points[:, :, 1]
-    middle = samples.mean(axis=1)
-    return Shapes(samples - middle[:, None], middle, np.abs(area), inertia, centroid)
-
-
 def describe_polygons(polygons: Sequence[Points]) -> Shapes:
-    """Return the features of polygons (n, 2) in mm."""
-    return describe_rings(Rings.of(polygons))
+    """Return the features of polygons (n, 2) in mm, whichever way they turn, with the normals of their samples."""
+    rings = Rings.of(polygons).counter_clockwise()
+    return engine().describe(rings).with_normals(rings.normals(SAMPLES))
 
 
 def describe_slots(slots: Sequence[Polygon]) -> Shapes:
@@ -66,11 +38,12 @@ def describe_blobs(blobs: Sequence[RawBlob], plane: PlaneView, *, without_walls:
 
     ``without_walls``: take away from each outline the strip in which the wall of a slab of that height is seen.
     """
-    seen = Rings.of([blob.polygon for blob in blobs])
-    rings = seen.moved(plane.from_pixels(seen.points)).counter_clockwise()
-    # Half a pixel: the outline runs through the centres of the blob's own pixels, its edge is outside of them.
-    rings = rings.offset_outward(0.5 * plane.mm_per_px)
-    return describe_rings(_without_walls(rings, plane) if without_walls else rings)
+    if without_walls and blobs:
+        # Which way an outline faces is plain from its simplified polygon alone.
+        seen = Rings.of([blob.polygon for blob in blobs])
+        rings = seen.moved(engine().to_plane(plane.grid, seen.points)).counter_clockwise()
+        return engine().describe(_without_walls(rings, plane))
+    return engine().describe_pixels(plane.grid, *rings_of(blobs))
 
 
 def widest_wall_px(plane: PlaneView) -> float:

@@ -12,15 +12,11 @@ import numpy.typing as npt
 from slabcell.geometry import Points
 from slabcell.vision.edge_profile import EdgeLines
 from slabcell.vision.edges import EdgePieces
-from slabcell.vision.local_map import LocalMaps, derivatives, evaluate, map_locally, monomials
-from slabcell.vision.plane import PlaneView
+from slabcell.vision.local_map import LocalMaps, derivatives, evaluate, monomials
 
-__all__ = ["Outlines", "Poses", "ProjectedEdges", "maps_of", "project"]
+__all__ = ["Outlines", "Poses", "ProjectedEdges", "project"]
 
 Floats = npt.NDArray[np.float64]
-
-# How far beyond an outline its map holds: the slab may lie that far from where it is expected.
-MARGIN_PX = 12.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +55,16 @@ class Poses:
     pivot: Points
     kerf: Floats
 
+    def selected(self, which: npt.NDArray[np.intp]) -> "Poses":
+        """Return the poses of these outlines."""
+        return Poses(self.rotation[which], self.position[which], self.pivot[which], self.kerf[which])
+
+    def replaced(self, which: npt.NDArray[np.intp], others: "Poses") -> "Poses":
+        """Return all poses, with ``others`` in the place of these."""
+        rotation, position, kerf = self.rotation.copy(), self.position.copy(), self.kerf.copy()
+        rotation[which], position[which], kerf[which] = others.rotation, others.position, others.kerf
+        return Poses(rotation, position, self.pivot, kerf)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProjectedEdges:
@@ -94,17 +100,6 @@ class ProjectedEdges:
     def on_table(self) -> Points:
         """Middle of the piece, mm, (n, 2)."""
         return self.extras[:, 6:8]
-
-
-def maps_of(plane: PlaneView, outlines: Sequence[EdgePieces], poses: Poses) -> LocalMaps:
-    """Return maps that hold where the outlines lie, and a little around."""
-    reach = np.array([item.reach_mm for item in outlines])
-    # The mean of the pieces is not the pivot: allow for the distance between both.
-    away = np.array(
-        [item.middle.mean(axis=0) if len(item) else pivot for item, pivot in zip(outlines, poses.pivot, strict=True)]
-    )
-    off = away - poses.pivot
-    return map_locally(plane, poses.position, reach + np.hypot(off[:, 0], off[:, 1]) + MARGIN_PX * plane.mm_per_px)
 
 
 def project(outlines: Outlines, maps: LocalMaps, poses: Poses, *, mirrored: bool) -> ProjectedEdges:

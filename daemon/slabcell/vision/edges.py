@@ -15,12 +15,16 @@ __all__ = ["EdgePieces", "cut_edges"]
 CORNER_DEG = 15.0
 # Distance kept from a corner, where blur mixes both edges.
 CORNER_MARGIN_PX = 2.2
-PIECE_PX = 18.0
+PIECE_PX = 24.0
 MIN_PIECE_PX = 5.0
+# Pieces of curved outlines are shorter, so that a parabola fits them.
+MAX_TURN_DEG = 35.0
 # Points of the outline through which a piece's parabola is laid.
 FIT_POINTS = 9
 # Bound on the pieces of one outline: longer outlines get longer pieces.
 MAX_PIECES = 160
+FEW_PIECES = 16
+PROBE_PIECES = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,16 +49,28 @@ class EdgePieces:
         return np.ascontiguousarray(np.column_stack([self.middle, self.tangent, self.half_mm, self.bend]))
 
     @cached_property
+    def mean(self) -> tuple[float, float]:
+        """The mean of the middles."""
+        x, y = self.middle.mean(axis=0).tolist()
+        return x, y
+
+    @cached_property
     def reach_mm(self) -> float:
         """How far a piece is from the mean of all, at most."""
         if len(self) == 0:
             return 0.0
-        away = self.middle - self.middle.mean(axis=0)
+        away = self.middle - self.mean
         return float(np.hypot(away[:, 0], away[:, 1]).max() + self.half_mm.max())
 
-    def thinned(self, count: int) -> "EdgePieces":
-        """Return about this many of the pieces, spread over the outline."""
-        return self.selected(np.arange(0, len(self), max(1, len(self) // max(count, 1))))
+    @cached_property
+    def few(self) -> "EdgePieces":
+        """Some of the pieces, spread over the outline: enough to find it when it is some pixels off."""
+        return self.selected(np.arange(0, len(self), max(1, len(self) // FEW_PIECES)))
+
+    @cached_property
+    def probes(self) -> "EdgePieces":
+        """A few of the pieces, from which the picture's blur and grain are measured."""
+        return self.selected(np.arange(0, len(self), max(1, len(self) // PROBE_PIECES)))
 
     def selected(self, which: npt.NDArray[np.intp]) -> "EdgePieces":
         """Return these of the pieces."""
@@ -76,7 +92,7 @@ def cut_edges(slot: Polygon, mm_per_px: float) -> EdgePieces:
     corners = np.flatnonzero(turn > CORNER_DEG)
     closed = len(corners) == 0
     first = 0 if closed else int(corners[0])
-    ring = np.roll(vertices, -first, axis=0)
+    ring, bends = np.roll(vertices, -first, axis=0), np.roll(turn, -first)
     ring = np.vstack([ring, ring[:1]])
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(ring, axis=0).T))])
     stops = [0.0, along[-1]] if closed else [*(along[(corners - first)]), along[-1]]
@@ -88,7 +104,9 @@ def cut_edges(slot: Polygon, mm_per_px: float) -> EdgePieces:
         free = end - begin - 2.0 * margin
         if free < MIN_PIECE_PX * mm_per_px:
             continue
-        count = max(1, round(free / target))
+        within = (along[:-1] > begin) & (along[:-1] < end) if not closed else np.ones(len(bends), np.bool_)
+        count = max(1, round(free / target), int(np.ceil(float(bends[within].sum()) / MAX_TURN_DEG)))
+        count = min(count, max(1, int(free / (MIN_PIECE_PX * mm_per_px))))
         borders = begin + margin + free * np.arange(count + 1) / count
         starts += [float(value) for value in borders[:-1]]
         ends += [float(value) for value in borders[1:]]

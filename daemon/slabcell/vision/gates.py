@@ -6,7 +6,6 @@ every gate that failed with what was measured and the limit.
 
 from typing import Any, Final
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -14,21 +13,21 @@ from slabcell.errors import ImageError
 from slabcell.geometry import Points, Polygon
 from slabcell.recipe import GateParameters
 from slabcell.vision.edge_profile import ProfileModel
-from slabcell.vision.edge_projection import Outlines, Poses, maps_of
-from slabcell.vision.edges import EdgePieces, cut_edges
-from slabcell.vision.kernel import engine
+from slabcell.vision.edge_projection import Poses
+from slabcell.vision.edges import cut_edges
+from slabcell.vision.kernel import engine, maps_of
+from slabcell.vision.outline_set import OutlineSet
 from slabcell.vision.pixels import Grey
 from slabcell.vision.plane import PlaneView
 from slabcell.vision.result import GateReading
-from slabcell.vision.thresholds import histogram_of
+from slabcell.vision.survey import Survey, step_of
 
 __all__ = ["UnusableImageError", "blur_gate", "light_gates", "reference_gates", "require"]
 
 # IMAGE_UNUSABLE in the error catalogue.
 NUMBER: Final = 1501
-SUBSAMPLE = 4
-# The sharpest edges that tell the blur.
-STEEPEST = 16
+# The rows of the survey with the sharpest edges, which tell the blur.
+STEEPEST = 4
 # Corners of the polygon that stands for a round mark.
 CIRCLE_CORNERS = 48
 # How far from its place rim or mark is looked for.
@@ -50,16 +49,20 @@ def require(readings: tuple[GateReading, ...]) -> None:
         raise UnusableImageError(readings)
 
 
-def light_gates(grey: Grey, parameters: GateParameters) -> tuple[GateReading, ...]:
-    """Return brightness and over-exposure of a picture."""
-    full = float(np.iinfo(grey.dtype).max)
-    sample = np.ascontiguousarray(grey[::SUBSAMPLE, ::SUBSAMPLE])
-    counts = cv2.calcHist([sample], [0], None, [256], [0, full + 1.0]).reshape(-1)
+def light_gates(grey: Grey, surveyed: Survey, parameters: GateParameters) -> tuple[GateReading, ...]:
+    """Return brightness and over-exposure of a picture; ``surveyed``: its survey with 8 bits."""
+    if grey.dtype == np.uint8:
+        counts = surveyed.grey
+        whitest = int(counts[-1])
+    else:
+        sample = np.ascontiguousarray(grey[:: step_of(grey), :: step_of(grey)])
+        counts = np.bincount(sample.reshape(-1) >> 8, minlength=256)
+        whitest = int(np.count_nonzero(sample == np.iinfo(grey.dtype).max))
+    total = int(counts.sum())
     # The lightest half percent.
-    rank = 255 - int(np.count_nonzero(np.cumsum(counts[::-1]) <= sample.size // 200))
+    rank = 255 - int(np.count_nonzero(np.cumsum(counts[::-1]) <= total // 200))
     brightest = 100.0 * max(rank, 0) / 255.0
-    whitest = float(counts[-1]) if grey.dtype == np.uint8 else float(np.count_nonzero(sample == grey.dtype.type(full)))
-    saturated = 100.0 * whitest / sample.size
+    saturated = 100.0 * whitest / total
     return (
         GateReading(
             "brightness",
@@ -82,19 +85,15 @@ def light_gates(grey: Grey, parameters: GateParameters) -> tuple[GateReading, ..
     )
 
 
-def blur_gate(picture: npt.NDArray[np.uint8], contrast: float, parameters: GateParameters) -> tuple[GateReading, ...]:
+def blur_gate(surveyed: Survey, contrast: float, parameters: GateParameters) -> tuple[GateReading, ...]:
     """Return how blurred the sharpest edges are; nothing where there is no contrast to judge by.
 
     A step of this contrast, blurred by a Gaussian of width s, is nowhere steeper than contrast/(s·√(2π)).
     """
-    if contrast <= 0.0 or min(picture.shape) < 3:
+    if contrast <= 0.0 or len(surveyed.steepest) < STEEPEST:
         return ()
-    rows, columns = picture[:: 2 * SUBSAMPLE], np.ascontiguousarray(picture[:, :: 2 * SUBSAMPLE])
-    counts = histogram_of(np.asarray(cv2.absdiff(rows[:, 2:], rows[:, :-2]), np.uint8))
-    counts += histogram_of(np.asarray(cv2.absdiff(columns[2:], columns[:-2]), np.uint8))
-    # The median of the steepest; a step is taken over two pixels.
-    median = 255 - int(np.count_nonzero(np.cumsum(counts[::-1]) <= STEEPEST // 2))
-    steepest = 0.5 * max(median, 0)
+    # The median of the steepest rows; a step is taken over two pixels.
+    steepest = 0.5 * float(np.partition(surveyed.steepest, -STEEPEST // 2)[-STEEPEST // 2])
     blur = contrast / (max(steepest, 1e-3) * float(np.sqrt(2.0 * np.pi)))
     return (
         GateReading(
@@ -121,11 +120,10 @@ def reference_gates(grey: Grey, plane: PlaneView, parameters: GateParameters) ->
     kept = [index for index, item in enumerate(outlines) if len(item)]
     if not kept:
         return ()
-    pieces: list[EdgePieces] = [outlines[index] for index in kept]
-    pivots = np.array([shapes[index].centroid for index in kept])
+    wanted = OutlineSet.of([shapes[index] for index in kept], [outlines[index] for index in kept])
     none = np.zeros(len(kept))
-    poses = Poses(none, pivots, pivots, none)
-    edges = engine().project(Outlines.of(pieces), maps_of(plane, pieces, poses), poses, mirrored=plane.mirrored)
+    poses = Poses(none, wanted.pivots, wanted.pivots, none)
+    edges = engine().project(wanted.whole, maps_of(plane, wanted, wanted.pivots), poses, mirrored=plane.mirrored)
     shifts = engine().measure_edges(grey, edges.lines, ProfileModel(1.0, REACH_PX, 1.0, 0.3))
     seen = 100.0 * float(np.mean(shifts.valid))
     readings = [

@@ -9,6 +9,7 @@ Source of the largest circle: D. Garcia-Castellanos, U. Lombardo, "Poles of inac
 Journal 123(3), 2007 (as in GEOS).
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +25,8 @@ __all__ = ["Grasp", "choose_grasp"]
 
 # The place found is moved inward by this much, so that rounding never leaves the cup over the edge.
 SAFETY_MM = 1e-3
+# Chords of a quarter of a circle.
+QUARTER_CHORDS = 32
 # Rotations of a gripper of several cups that are tried.
 TURN_STEP_DEG = 5.0
 # Millimetres of distance from the centre of mass that a larger turn of the tool must save.
@@ -52,7 +55,10 @@ def choose_grasp(slot: Polygon, parameters: GraspParameters, number: int | None 
     for zone in parameters.forbidden:
         if zone.slot is None or zone.slot == number:
             free = free.difference(shapely.Polygon(zone.polygon).buffer(0))
-    places: Any = free.buffer(-(needed + SAFETY_MM), quad_segs=32)
+    # Round corners are drawn by chords, which must not come nearer than the circle.
+    places: Any = free.buffer(
+        -(needed + SAFETY_MM) / math.cos(math.pi / (4 * QUARTER_CHORDS)), quad_segs=QUARTER_CHORDS
+    )
     centre = shapely.Point(float(slot.centroid[0]), float(slot.centroid[1]))
     cups = np.array(parameters.cups_mm, np.float64)
     best: tuple[float, float, Points] | None = None

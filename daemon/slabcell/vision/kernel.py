@@ -1,52 +1,112 @@
 """Which implementation does the heavy work?  The compiled kernel where there is one, else the references in NumPy.
 
-The kernel is plain C (``_kernel.c``), compiled when the package is built or installed, if a C compiler is there.  Both
-give the same numbers; the kernel is some ten times faster.  `implementation` says which one is used.
+The kernel is plain C (`native`), compiled when the package is built or installed, if a C compiler is there.  Both give
+the same numbers; the kernel is some ten times faster.  `implementation` says which one is used.
 """
 
-import ctypes
+from collections.abc import Sequence
 from functools import cache
-from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtr
 
-from slabcell.vision import edge_profile, edge_projection, pose_solver
+from slabcell.geometry import Points
+from slabcell.vision import (
+    contours,
+    edge_profile,
+    edge_projection,
+    local_map,
+    matching,
+    pose_solver,
+    registration,
+    shapes,
+    survey,
+    thresholds,
+)
+from slabcell.vision.contours import Contours
 from slabcell.vision.edge_profile import EdgeLines, EdgeShifts, ProfileModel
 from slabcell.vision.edge_projection import Outlines, Poses, ProjectedEdges
 from slabcell.vision.local_map import LocalMaps
+from slabcell.vision.matching import Candidate, MatchLimits
+from slabcell.vision.outline import Rings
+from slabcell.vision.outline_set import OutlineSet
 from slabcell.vision.pixels import Grey
-from slabcell.vision.pose_solver import UNKNOWNS, Measured, Solution
+from slabcell.vision.plane import PixelTable, PlaneView
+from slabcell.vision.pose_solver import Measured, Solution
+from slabcell.vision.registration import Registration
+from slabcell.vision.shapes import Shapes
+from slabcell.vision.survey import Survey
+from slabcell.vision.thresholds import Split
 
-__all__ = ["LIBRARY", "Engine", "NativeEngine", "NumpyEngine", "engine", "implementation", "measure_edges"]
+__all__ = ["Engine", "NumpyEngine", "engine", "implementation", "maps_of"]
 
-LIBRARY: Final = Path(__file__).with_name("_kernel.so")
-# As in _kernel.c.
-VERSION: Final = 4
-TABLE_REACH, TABLE_STEPS = 7, 64
-RESULT_FIELDS, EXTRA_FIELDS = 7, 8
+Floats = npt.NDArray[np.float64]
+Picture = npt.NDArray[np.uint8]
 
 
 class Engine(Protocol):
-    """The three steps of a registration, in one implementation."""
+    """The steps that take the time, in one implementation.  Each returns what the function of its name returns."""
 
     @property
     def name(self) -> str:
         """Return ``native`` or ``numpy``."""
         ...
 
+    def survey(self, picture: Picture) -> Survey:
+        """See `survey.survey`."""
+        ...
+
+    def trace(self, picture: Picture, level: float, *, dark: bool, interpolate: bool, min_area_px: float) -> Contours:
+        """See `contours.trace`."""
+        ...
+
+    def split(self, surveyed: Survey) -> Split | None:
+        """See `thresholds.split_in_two`."""
+        ...
+
+    def to_plane(self, table: PixelTable, pixels: Points) -> Points:
+        """See `plane.PixelTable.at`."""
+        ...
+
+    def describe(self, rings: Rings) -> Shapes:
+        """See `shapes.describe`."""
+        ...
+
+    def describe_pixels(self, table: PixelTable, pixels: Points, starts: npt.NDArray[np.int64]) -> Shapes:
+        """Return what `describe` returns of rings in pixels, taken to the plane; ``starts``: where each begins."""
+        ...
+
+    def find_candidates(
+        self, blobs: Shapes, slots: Shapes, limits: MatchLimits, allowed: npt.NDArray[np.bool_] | None = None
+    ) -> list[Candidate]:
+        """See `matching.find_candidates`."""
+        ...
+
+    def map_locally(self, plane: PlaneView, centre: Points, size: Floats) -> LocalMaps:
+        """See `local_map.map_locally`."""
+        ...
+
+    def to_pixels(self, plane: PlaneView, points: Points) -> Points:
+        """See `plane.PlaneView.to_pixels`."""
+        ...
+
     def project(self, outlines: Outlines, maps: LocalMaps, poses: Poses, *, mirrored: bool) -> ProjectedEdges:
-        """Return what `edge_projection.project` returns."""
+        """See `edge_projection.project`."""
         ...
 
     def measure_edges(self, grey: Grey, lines: EdgeLines, model: ProfileModel) -> EdgeShifts:
-        """Return what `edge_profile.measure_edges` returns."""
+        """See `edge_profile.measure_edges`."""
         ...
 
     def solve(self, measured: Measured, prior: float) -> Solution:
-        """Return what `pose_solver.solve` returns."""
+        """See `pose_solver.solve`."""
+        ...
+
+    def register(
+        self, grey: Grey, plane: PlaneView, outlines: OutlineSet, candidates: Sequence[Candidate], *, rough: bool
+    ) -> list[Registration]:
+        """See `registration.register`."""
         ...
 
 
@@ -55,102 +115,61 @@ class NumpyEngine:
 
     name = "numpy"
 
+    def survey(self, picture: Picture) -> Survey:
+        """See `survey.survey`."""
+        return survey.survey(picture)
+
+    def trace(self, picture: Picture, level: float, *, dark: bool, interpolate: bool, min_area_px: float) -> Contours:
+        """See `contours.trace`."""
+        return contours.trace(picture, level, dark=dark, interpolate=interpolate, min_area_px=min_area_px)
+
+    def split(self, surveyed: Survey) -> Split | None:
+        """See `thresholds.split_in_two`."""
+        return thresholds.split_in_two(surveyed.grey)
+
+    def to_plane(self, table: PixelTable, pixels: Points) -> Points:
+        """See `plane.PixelTable.at`."""
+        return table.at(pixels)
+
+    def describe(self, rings: Rings) -> Shapes:
+        """See `shapes.describe`."""
+        return shapes.describe(rings)
+
+    def describe_pixels(self, table: PixelTable, pixels: Points, starts: npt.NDArray[np.int64]) -> Shapes:
+        """Return what `describe` returns of rings in pixels."""
+        return shapes.describe(Rings(table.at(pixels), starts))
+
+    def find_candidates(
+        self, blobs: Shapes, slots: Shapes, limits: MatchLimits, allowed: npt.NDArray[np.bool_] | None = None
+    ) -> list[Candidate]:
+        """See `matching.find_candidates`."""
+        return matching.find_candidates(blobs, slots, limits, allowed)
+
+    def map_locally(self, plane: PlaneView, centre: Points, size: Floats) -> LocalMaps:
+        """See `local_map.map_locally`."""
+        return local_map.map_locally(plane, centre, size)
+
+    def to_pixels(self, plane: PlaneView, points: Points) -> Points:
+        """See `plane.PlaneView.to_pixels`."""
+        return plane.to_pixels(points)
+
     def project(self, outlines: Outlines, maps: LocalMaps, poses: Poses, *, mirrored: bool) -> ProjectedEdges:
-        """Return what `edge_projection.project` returns."""
+        """See `edge_projection.project`."""
         return edge_projection.project(outlines, maps, poses, mirrored=mirrored)
 
     def measure_edges(self, grey: Grey, lines: EdgeLines, model: ProfileModel) -> EdgeShifts:
-        """Return what `edge_profile.measure_edges` returns."""
+        """See `edge_profile.measure_edges`."""
         return edge_profile.measure_edges(grey, lines, model)
 
     def solve(self, measured: Measured, prior: float) -> Solution:
-        """Return what `pose_solver.solve` returns."""
+        """See `pose_solver.solve`."""
         return pose_solver.solve(measured, prior)
 
-
-class NativeEngine:
-    """The compiled kernel.  Raises OSError or AttributeError where it is missing, ValueError for another version."""
-
-    name = "native"
-
-    def __init__(self, path: Path = LIBRARY) -> None:
-        library = ctypes.CDLL(str(path))
-        version = library.slabcell_kernel_version()
-        if version != VERSION:
-            msg = f"{path} is version {version} of the kernel, this is {VERSION}: install slabcell again"
-            raise ValueError(msg)
-        pointer, size, number, real = ctypes.c_void_p, ctypes.c_ssize_t, ctypes.c_int, ctypes.c_double
-        self._measure = {1: library.slabcell_measure_edges_u8, 2: library.slabcell_measure_edges_u16}
-        for function in self._measure.values():
-            function.argtypes = [pointer, size, number, number, number, pointer, pointer, pointer, pointer]
-            function.restype = None
-        self._project = library.slabcell_project
-        self._project.argtypes = [number, pointer, pointer, pointer, pointer, number, pointer, pointer]
-        self._project.restype = None
-        self._solve = library.slabcell_solve
-        self._solve.argtypes = [number, pointer, pointer, pointer, real, pointer, pointer, pointer]
-        self._solve.restype = None
-        self._table = _normal_distribution()
-
-    def project(self, outlines: Outlines, maps: LocalMaps, poses: Poses, *, mirrored: bool) -> ProjectedEdges:
-        """Return what `edge_projection.project` returns."""
-        count, pieces = len(outlines), len(outlines.pieces)
-        placed = _columns(poses.rotation, poses.position, poses.pivot, poses.kerf)
-        mapped = _columns(maps.centre, maps.size, maps.top.reshape(count, -1), maps.foot.reshape(count, -1))
-        lines, extras = np.empty((pieces, 7)), np.empty((pieces, EXTRA_FIELDS))
-        starts, table = _plain(outlines.starts, np.int64), _plain(outlines.pieces)
-        self._project(
-            count,
-            starts.ctypes.data,
-            table.ctypes.data,
-            placed.ctypes.data,
-            mapped.ctypes.data,
-            int(mirrored),
-            lines.ctypes.data,
-            extras.ctypes.data,
-        )
-        return ProjectedEdges(EdgeLines(lines), extras)
-
-    def measure_edges(self, grey: Grey, lines: EdgeLines, model: ProfileModel) -> EdgeShifts:
-        """Return what `edge_profile.measure_edges` returns."""
-        picture, table = np.ascontiguousarray(grey), _plain(lines.table)
-        height, width = picture.shape
-        parameters = np.array(
-            [model.sigma_px, model.reach_px, model.wall_ratio, model.wall_ratio_sigma, model.near], np.float64
-        )
-        results = np.empty((len(lines), RESULT_FIELDS))
-        self._measure[picture.dtype.itemsize](
-            picture.ctypes.data,
-            width,
-            width,
-            height,
-            len(lines),
-            table.ctypes.data,
-            parameters.ctypes.data,
-            self._table.ctypes.data,
-            results.ctypes.data,
-        )
-        shift, sigma, inside, outside, wall, valid, scatter = results.T
-        return EdgeShifts(shift, sigma, inside, outside, wall, valid > 0.5, scatter)
-
-    def solve(self, measured: Measured, prior: float) -> Solution:
-        """Return what `pose_solver.solve` returns."""
-        count = len(measured.starts) - 1
-        given = _columns(measured.distance, measured.sigma, measured.valid)
-        starts, extras = _plain(measured.starts, np.int64), _plain(measured.extras)
-        change, covariance = np.empty((count, UNKNOWNS)), np.empty((count, UNKNOWNS, UNKNOWNS))
-        remains = np.empty(len(given))
-        self._solve(
-            count,
-            starts.ctypes.data,
-            extras.ctypes.data,
-            given.ctypes.data,
-            prior,
-            change.ctypes.data,
-            covariance.ctypes.data,
-            remains.ctypes.data,
-        )
-        return Solution(change, covariance, remains)
+    def register(
+        self, grey: Grey, plane: PlaneView, outlines: OutlineSet, candidates: Sequence[Candidate], *, rough: bool
+    ) -> list[Registration]:
+        """See `registration.register`."""
+        return registration.register(grey, plane, outlines, candidates, rough=rough)
 
 
 def implementation() -> str:
@@ -158,30 +177,17 @@ def implementation() -> str:
     return engine().name
 
 
-def measure_edges(grey: Grey, lines: EdgeLines, model: ProfileModel) -> EdgeShifts:
-    """Return how far outward of its expected place each piece of edge lies."""
-    return engine().measure_edges(grey, lines, model)
-
-
 @cache
 def engine() -> Engine:
     """Return the fastest implementation that is there."""
+    from slabcell.vision.native import NativeEngine  # noqa: PLC0415 - it knows the types of this module's neighbours
+
     try:
         return NativeEngine()
     except (OSError, AttributeError, ValueError):
         return NumpyEngine()
 
 
-def _columns(*parts: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
-    return np.ascontiguousarray(np.column_stack(parts), np.float64)
-
-
-def _plain(array: npt.NDArray[Any], kind: Any = np.float64) -> npt.NDArray[Any]:
-    return np.ascontiguousarray(array, kind)
-
-
-def _normal_distribution() -> npt.NDArray[np.float64]:
-    """Return density and integral of the normal distribution, in turn, at the nodes of the kernel's table."""
-    nodes = np.arange(2 * TABLE_REACH * TABLE_STEPS + 1) / TABLE_STEPS - TABLE_REACH
-    density = np.exp(-0.5 * nodes * nodes) / np.sqrt(2.0 * np.pi)
-    return np.ascontiguousarray(np.column_stack([density, ndtr(nodes)]))
+def maps_of(plane: PlaneView, outlines: OutlineSet, position: Points) -> LocalMaps:
+    """Return maps that hold where the outlines lie, each at its position (n, 2), and a little around."""
+    return engine().map_locally(plane, position, outlines.reaches_mm + local_map.MARGIN_PX * plane.mm_per_px)

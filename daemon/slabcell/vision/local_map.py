@@ -13,7 +13,7 @@ import numpy.typing as npt
 from slabcell.geometry import Points
 from slabcell.vision.plane import PlaneView
 
-__all__ = ["DEGREE", "TERMS", "LocalMaps", "map_locally"]
+__all__ = ["DEGREE", "MARGIN_PX", "TERMS", "LocalMaps", "map_locally", "nodes_of_maps"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -21,35 +21,51 @@ DEGREE = 4
 # Powers of x and y of each term.
 TERMS = tuple((total - power, power) for total in range(DEGREE + 1) for power in range(total + 1))
 NODES = 6
+# How far beyond an outline its map holds: the slab may lie that far from where it is expected.
+MARGIN_PX = 12.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalMaps:
-    """One map for each of n places: ``centre`` (n, 2) mm, ``size`` (n,) mm, the reach of the map.
+    """One map for each of n places: ``table`` (n, 3 + 4·terms) holds the columns that the properties name."""
 
-    ``top`` (n, terms, 2): pixel of a point of the plane of the upper faces, a polynomial of (point − centre)/size;
-    ``foot`` the same for the point of the work plane below it.
-    """
+    table: Floats
 
-    centre: Points
-    size: Floats
-    top: Floats
-    foot: Floats
+    @property
+    def centre(self) -> Points:
+        """Where each map is exact best, mm, (n, 2)."""
+        return self.table[:, 0:2]
+
+    @property
+    def size(self) -> Floats:
+        """How far each map reaches, mm, (n,)."""
+        return self.table[:, 2]
+
+    @property
+    def top(self) -> Floats:
+        """Polynomials (n, terms, 2) of (point - centre)/size: the pixel of a point of the plane of the upper faces."""
+        return self.table[:, 3 : 3 + 2 * len(TERMS)].reshape(len(self), -1, 2)
+
+    @property
+    def foot(self) -> Floats:
+        """The same for the point of the work plane below it, (n, terms, 2)."""
+        return self.table[:, 3 + 2 * len(TERMS) :].reshape(len(self), -1, 2)
 
     def __len__(self) -> int:
-        return len(self.centre)
+        return len(self.table)
 
 
 def map_locally(plane: PlaneView, centre: Points, size: Floats) -> LocalMaps:
     """Return maps about these centres (n, 2) that hold as far as ``size`` (n,) from them, in mm."""
-    nodes, inverse = _nodes()
+    nodes, inverse = nodes_of_maps()
     count = len(centre)
     points = (centre[:, None, :] + size[:, None, None] * nodes).reshape(-1, 2)
     top = np.matmul(inverse, plane.to_pixels(points).reshape(count, -1, 2))
-    if plane.height_mm == 0.0:
-        return LocalMaps(centre, size, top, top)
-    below = plane.calibration.image_from_table(points, 0.0).reshape(count, -1, 2)
-    return LocalMaps(centre, size, top, np.matmul(inverse, below))
+    foot = top
+    if plane.height_mm != 0.0:
+        below = plane.calibration.image_from_table(points, 0.0).reshape(count, -1, 2)
+        foot = np.matmul(inverse, below)
+    return LocalMaps(np.column_stack([centre, size, top.reshape(count, -1), foot.reshape(count, -1)]))
 
 
 def monomials(x: Floats, y: Floats) -> Floats:
@@ -79,9 +95,9 @@ def evaluate(coefficients: Floats, terms: Floats) -> Points:
 
 
 @cache
-def _nodes() -> tuple[Points, Floats]:
+def nodes_of_maps() -> tuple[Points, Floats]:
     """Return the places, in −1 ... 1, at which a map is sampled, and the matrix that makes coefficients of samples."""
     line = np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
     x, y = (grid.reshape(-1) for grid in np.meshgrid(line, line))
     inverse: Floats = np.linalg.pinv(monomials(x, y)).astype(np.float64, copy=False)
-    return np.column_stack([x, y]), inverse
+    return np.ascontiguousarray(np.column_stack([x, y])), np.ascontiguousarray(inverse)

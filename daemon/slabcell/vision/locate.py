@@ -15,19 +15,19 @@ from slabcell.calibration.model import Calibration
 from slabcell.geometry import Polygon
 from slabcell.recipe import Recipe
 from slabcell.vision.blob_report import report_blobs
-from slabcell.vision.blobs import RawBlob, find_blobs
+from slabcell.vision.blobs import RawBlob
 from slabcell.vision.describe import describe_blobs
 from slabcell.vision.gates import blur_gate, light_gates, reference_gates, require
-from slabcell.vision.kernel import implementation
+from slabcell.vision.kernel import engine
 from slabcell.vision.morphology import net_erosion_px
 from slabcell.vision.outcome import Outcome
 from slabcell.vision.outline import Rings
-from slabcell.vision.pixels import Grey, as_grey
+from slabcell.vision.pixels import Grey, as_8_bit, as_grey
 from slabcell.vision.plane import GRID_PX
 from slabcell.vision.prepared import Prepared
-from slabcell.vision.registration import register
 from slabcell.vision.result import LocateResult
 from slabcell.vision.segmentation import Segmentation, segment
+from slabcell.vision.survey import Survey
 
 if TYPE_CHECKING:
     from slabcell.vision.promptable.segmenter import PromptableSegmenter
@@ -70,26 +70,29 @@ class Locator(Prepared):
         grey = as_grey(image)
         self.calibration.require_size(grey.shape[1], grey.shape[0], "the picture")
         free = set(range(len(self.slots))) if free_slots is None else set(free_slots)
-        gates = light_gates(grey, self.recipe.gates)
+        surveyed = engine().survey(as_8_bit(grey))
+        gates = light_gates(grey, surveyed, self.recipe.gates)
         if self.recipe.gates.marks or self.recipe.gates.rim_mm is not None:
             gates += reference_gates(grey, self.table, self.recipe.gates)
         require(gates)
-        segmentation, blobs, left_out = self._blobs(grey, image)
+        segmentation, blobs, left_out = self._blobs(grey, image, surveyed)
         if self.segmenter is not None:
             segmentation, blobs = self.segmenter.segment(image, segmentation, blobs, self)
-        gates += blur_gate(segmentation.picture, segmentation.contrast, self.recipe.gates)
+        gates += blur_gate(surveyed, segmentation.contrast, self.recipe.gates)
         require(gates)
         clock.stop("segment")
         if area_mm is not None:
             blobs = self._inside(blobs, area_mm)
         described = describe_blobs(blobs, self.plane, without_walls=self.walls)
-        report = report_blobs(blobs, grey, segmentation.mask, self.plane, self.recipe.blobs)
+        report = None
+        if self.recipe.blobs.used:
+            report = report_blobs(blobs, grey, segmentation.mask, self.plane, self.recipe.blobs)
         clock.stop("blobs")
         outcome = Outcome(self, blobs, described, free, None if report is None else report.filtered)
         candidates = outcome.candidates()
         clock.stop("match")
-        registrations = register(grey, self.plane, self.slots, self.pieces, candidates)
-        parted, found = outcome.split_touching(grey, segmentation.mask)
+        registrations = engine().register(grey, self.plane, self.outlines, candidates, rough=self.walls)
+        parted, found = outcome.split_touching(grey, segmentation)
         candidates, registrations = candidates + parted, registrations + found
         clock.stop("register")
         parts, rejected = outcome.decide(candidates, registrations)
@@ -105,7 +108,7 @@ class Locator(Prepared):
             tuple(sorted(free - filled)),
             clock.times(),
             segmentation.description + note,
-            implementation(),
+            engine().name,
             gates,
             features,
         )
@@ -121,7 +124,7 @@ class Locator(Prepared):
 
         return PromptableSegmenter(parameters.promptable)
 
-    def _blobs(self, grey: Grey, image: npt.NDArray[Any]) -> tuple[Segmentation, list[RawBlob], int]:
+    def _blobs(self, grey: Grey, image: npt.NDArray[Any], surveyed: Survey) -> tuple[Segmentation, list[RawBlob], int]:
         """Return segmentation, blobs and how many were left out.
 
         What is automatic is tried in another way where no blob has the size of a slot: a light floor around a dark
@@ -131,7 +134,7 @@ class Locator(Prepared):
         if parameters.promptable is not None and parameters.method == "promptable":
             parameters = parameters.model_copy(update={"method": parameters.promptable.coarse})
         min_area_px = parameters.min_area_mm2 / self.plane.mm_per_px**2
-        first = self._seen(segment(grey, parameters, image))
+        first = self._seen(segment(grey, parameters, image, surveyed=surveyed))
         blobs, left_out = self._found(first, min_area_px)
         if not blobs or self._plausible(blobs):
             return first, blobs, left_out
@@ -141,7 +144,7 @@ class Locator(Prepared):
                 continue
             kept = parameters.method if method == "auto" else method
             changed = parameters.model_copy(update={"method": kept, "polarity": polarity})
-            other = self._seen(segment(grey, changed, image))
+            other = self._seen(segment(grey, changed, image, surveyed=surveyed))
             found, dropped = self._found(other, min_area_px)
             count = self._plausible(found)
             if count > best_count:
@@ -150,11 +153,11 @@ class Locator(Prepared):
         return best
 
     def _found(self, segmentation: Segmentation, min_area_px: float) -> tuple[list[RawBlob], int]:
-        """Return the blobs of a mask, and how many were left out.
+        """Return the blobs, and how many were left out.
 
         Outlines are put back by what the recipe's steps have eroded, so that blobs may be parted by eroding them.
         """
-        blobs, left_out = find_blobs(segmentation.mask, min_area_px)
+        blobs, left_out = segmentation.blobs(min_area_px)
         eroded = net_erosion_px(self.recipe.segmentation.morphology)
         if not blobs or eroded == 0.0:
             return blobs, left_out
@@ -162,7 +165,7 @@ class Locator(Prepared):
         grown = rings.offset_outward(eroded)
         ends = zip(rings.starts[:-1], rings.starts[1:], np.abs(grown.moments[0] - rings.moments[0]), strict=True)
         return [
-            replace(blob, polygon=grown.points[begin:end], area_px=blob.area_px + np.sign(eroded) * float(strip))
+            replace(blob, outline=grown.points[begin:end], area_px=blob.area_px + np.sign(eroded) * float(strip))
             for blob, (begin, end, strip) in zip(blobs, ends, strict=True)
         ], left_out
 
@@ -175,7 +178,8 @@ class Locator(Prepared):
         whole = np.repeat(np.repeat(usable, GRID_PX, axis=0), GRID_PX, axis=1)[:height, :width]
         share = 100.0 * (1.0 - float(whole.mean()))
         note = f"{segmentation.description}; {share:.0f} % of the picture see no table"
-        return replace(segmentation, mask=np.where(whole, segmentation.mask, np.uint8(0)), description=note)
+        made = np.where(whole, segmentation.mask, np.uint8(0))
+        return replace(segmentation, level=None, made=made, description=note)
 
     def _plausible(self, blobs: list[RawBlob]) -> int:
         """Return how many blobs have about the area of a slot and lie wholly in the picture."""

@@ -8,146 +8,169 @@ Sources: B. Horn, "Closed-form solution of absolute orientation", JOSA A 4(4), 1
 A. Volgenant, Computing 38, 1987, for the assignment (as in SciPy).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
 from slabcell.geometry import RigidTransform2D
-from slabcell.vision.describe import SAMPLES, Shapes
+from slabcell.vision.shapes import SAMPLES, Shapes
 
-__all__ = ["Candidate", "assign", "find_candidates"]
+__all__ = ["Candidate", "MatchLimits", "assign", "find_candidates"]
+
+Floats = npt.NDArray[np.float64]
+Complex = npt.NDArray[np.complex128]
 
 # The correlation is interpolated to this many starting points.
-FINE = 4 * SAMPLES
+FINE = 2 * SAMPLES
 # Rotations of one pair that are looked at further.
 MAX_ROTATIONS = 4
-# Relative difference of the normalised polar inertia above which two outlines are not compared.
-INERTIA_TOLERANCE = 0.12
-# Candidates of one pair whose rotations differ by less than this are one.
-SAME_ROTATION_DEG = 8.0
-# Harmonics of the outlines, on either side, that are compared first, and what that may miss of the energy.
-HARMONICS = 12
-SLACK = 3e-3
-# Pairs that are correlated at once, which bounds the memory.
-BATCH = 512
+# How often an outline is laid over the other anew, and how far along it, in samples, the nearest point is looked for.
+REFINEMENTS = 3
+WINDOW = 3
+# Of the blob's samples one of two is compared.
+EVERY = 2
 
 
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """A slot laid over a blob: table = motion·assembly; ``distance_mm`` is the RMS distance of the two outlines."""
+class Candidate(NamedTuple):
+    """A slot laid over a blob: table = motion·assembly, turned by ``rotation`` (rad) and moved by ``x_mm``, ``y_mm``.
+
+    ``distance_mm`` is the RMS distance of the two outlines.  A tuple, because many are made for each picture.
+    """
 
     blob: int
     slot: int
-    motion: RigidTransform2D
+    rotation: float
+    x_mm: float
+    y_mm: float
     distance_mm: float
+
+    @property
+    def motion(self) -> RigidTransform2D:
+        """Table = motion·assembly."""
+        return RigidTransform2D(math.degrees(self.rotation), self.x_mm, self.y_mm)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MatchLimits:
+    """What outlines are compared, and which results count.
+
+    ``distance_mm`` (slots,): RMS distance above which an outline is not this slot.  ``area``, ``inertia``: relative
+    differences above which two outlines are not compared.  ``margin_mm``, ``worse``: another candidate of a blob may be
+    so much and so many times worse than its best.  ``symmetry_order`` (slots,): of rotations that look alike only the
+    best counts; ``same_deg``: rotations that differ by less are one.  ``floor_mm``: what an outline scatters at least.
+    """
+
+    distance_mm: Floats
+    symmetry_order: Sequence[int]
+    margin_mm: float
+    floor_mm: float
+    area: float
+    inertia: float = 0.12
+    worse: float = 1.6
+    same_deg: float = 8.0
 
 
 def find_candidates(
-    blobs: Shapes,
-    slots: Shapes,
-    *,
-    area_tolerance: float,
-    limit_mm: npt.NDArray[np.float64],
-    margin_mm: float,
-    symmetry_order: Sequence[int],
-    allowed: npt.NDArray[np.bool_] | None = None,
+    blobs: Shapes, slots: Shapes, limits: MatchLimits, allowed: npt.NDArray[np.bool_] | None = None
 ) -> list[Candidate]:
     """Return what each blob may be: everything nearly as good as the best of that blob.
 
-    ``limit_mm`` (slots,): distance above which an outline is not this slot.  ``margin_mm``: how much worse than the
-    best candidate of a blob another may be.  ``symmetry_order`` (slots,): of rotations that look alike only the best is
-    returned.  ``allowed`` (blobs, slots): pairs to compare, instead of those that agree in area and inertia.
+    ``slots`` have normals.  ``allowed`` (blobs, slots): pairs to compare, instead of those that agree in area and
+    inertia.  This is the reference of `kernel`.
     """
     if len(blobs) == 0 or len(slots) == 0:
         return []
-    pairs = np.argwhere(_alike(blobs, slots, area_tolerance) if allowed is None else allowed)
+    if allowed is None:
+        with np.errstate(divide="ignore"):
+            area = np.abs(np.log(blobs.area_mm2[:, None]) - np.log(slots.area_mm2))
+            inertia = np.abs(np.log(blobs.inertia[:, None]) - np.log(slots.inertia))
+        allowed = (area <= math.log1p(limits.area)) & (inertia <= math.log1p(limits.inertia))
+    # Turning and starting elsewhere leave the magnitudes of the harmonics: what they differ by, the outlines differ by.
+    apart = blobs.spectra.magnitudes[:, None, :] - slots.spectra.magnitudes
+    compared: npt.NDArray[np.bool_] = allowed & (np.sum(apart**2, axis=2) <= (limits.distance_mm * SAMPLES) ** 2)
     found: list[Candidate] = []
-    spectra = np.conj(np.fft.fft(slots.samples, axis=1))
-    blob_spectra = np.fft.fft(blobs.samples, axis=1)
-    for start in range(0, len(pairs), BATCH):
-        batch = pairs[start : start + BATCH]
-        found += _correlate(batch, blob_spectra, spectra, blobs, slots, limit_mm)
-    best: dict[int, float] = {}
-    for candidate in found:
-        best[candidate.blob] = min(candidate.distance_mm, best.get(candidate.blob, np.inf))
-    near_best = [item for item in found if item.distance_mm <= 1.6 * best[item.blob] + margin_mm]
-    return _without_repetitions(near_best, symmetry_order)
-
-
-def _alike(blobs: Shapes, slots: Shapes, area_tolerance: float) -> npt.NDArray[np.bool_]:
-    """Return which pairs agree in area and inertia: shape (blobs, slots)."""
-    with np.errstate(divide="ignore"):
-        area = np.abs(np.log(blobs.area_mm2[:, None] / slots.area_mm2))
-        inertia = np.abs(np.log(blobs.inertia[:, None] / slots.inertia))
-    return (area <= np.log1p(area_tolerance)) & (inertia <= np.log1p(INERTIA_TOLERANCE))
-
-
-def _without_repetitions(found: list[Candidate], symmetry_order: Sequence[int]) -> list[Candidate]:
-    kept: list[Candidate] = []
-    for item in sorted(found, key=lambda item: (item.blob, item.slot, item.distance_mm)):
-        step = 360.0 / symmetry_order[item.slot]
-        same = [other for other in kept[-MAX_ROTATIONS:] if (other.blob, other.slot) == (item.blob, item.slot)]
-        turns = [(item.motion.rotation_deg - other.motion.rotation_deg) / step for other in same]
-        if all(abs(turn - round(turn)) * step > SAME_ROTATION_DEG for turn in turns):
-            kept.append(item)
-    return kept
-
-
-def _correlate(
-    pairs: npt.NDArray[np.intp],
-    blob_spectra: npt.NDArray[np.complex128],
-    slot_spectra: npt.NDArray[np.complex128],
-    blobs: Shapes,
-    slots: Shapes,
-    limit_mm: npt.NDArray[np.float64],
-) -> list[Candidate]:
-    blob, slot = pairs.T
-    # The coarse shape first, which tells most pairs apart: what the low harmonics differ by, the whole differs by too.
-    low = np.r_[0:HARMONICS, SAMPLES - HARMONICS : SAMPLES]
-    first, second = blob_spectra[:, low], slot_spectra[:, low]
-    energy = np.sum(_square(first), axis=1)[blob] + np.sum(_square(second), axis=1)[slot]
-    coarse = np.zeros((len(pairs), 8 * HARMONICS), np.complex128)
-    product = first[blob] * second[slot]
-    coarse[:, :HARMONICS], coarse[:, -HARMONICS:] = product[:, :HARMONICS], product[:, HARMONICS:]
-    strongest = np.sqrt(_square(np.fft.ifft(coarse, axis=1, norm="forward")).max(axis=1))
-    # Between two starting points tried, the correlation is higher by a share of the energy at most.
-    hopeful = (energy - 2.0 * strongest) / SAMPLES**2 <= limit_mm[slot] ** 2 + SLACK * energy / SAMPLES**2
-    blob, slot = blob[hopeful], slot[hopeful]
-    product = blob_spectra[blob] * slot_spectra[slot]
-    energy = (np.sum(_square(blob_spectra), axis=1)[blob] + np.sum(_square(slot_spectra), axis=1)[slot]) / SAMPLES**2
-    padded = np.zeros((len(product), FINE), np.complex128)
-    padded[:, : SAMPLES // 2] = product[:, : SAMPLES // 2]
-    padded[:, -SAMPLES // 2 :] = product[:, SAMPLES // 2 :]
-    # Mean over the samples of blob·conj(slot) for every starting point.
-    overlap = np.fft.ifft(padded, axis=1) * (FINE / SAMPLES**2)
-    strength = np.abs(overlap)
-    # Near enough first: that leaves few places at which to look for maxima.
-    square = energy[:, None] - 2.0 * strength
-    rows, starts = np.nonzero(square <= (limit_mm[slot] ** 2)[:, None])
-    here = strength[rows, starts]
-    peak = (here >= strength[rows, starts - 1]) & (here > strength[rows, (starts + 1) % FINE])
-    rows, starts = rows[peak], starts[peak]
-    distance = np.sqrt(np.maximum(square, 0.0))
-    found: list[Candidate] = []
-    order = np.lexsort((distance[rows, starts], rows))
-    taken: dict[int, int] = {}
-    for index in order:
-        row, begin = int(rows[index]), int(starts[index])
-        if taken.setdefault(row, 0) >= MAX_ROTATIONS:
-            continue
-        taken[row] += 1
-        turn = overlap[row, begin] / strength[row, begin]
-        moved = blobs.middle[blob[row]] - turn * slots.middle[slot[row]]
-        motion = RigidTransform2D(float(np.rad2deg(np.angle(turn))), float(moved.real), float(moved.imag))
-        found.append(Candidate(int(blob[row]), int(slot[row]), motion, float(distance[row, begin])))
+    for blob, fitting in enumerate(compared):
+        peaks = [
+            (slot, *peak)
+            for slot in np.flatnonzero(fitting).tolist()
+            for peak in _peaks(blobs, slots, blob, slot, limits)
+        ]
+        best = min((distance for *_, distance in peaks), default=0.0)
+        kept: list[Candidate] = []
+        for slot, start, turn, distance in peaks:
+            if distance > limits.worse * best + limits.margin_mm:
+                continue
+            rotation, x, y = _refined(blobs, slots, blob, slot, start, turn, limits.floor_mm)
+            step = 2.0 * math.pi / limits.symmetry_order[slot]
+            turns = [(rotation - other.rotation) / step for other in kept if other.slot == slot]
+            if all(abs(turns_off - round(turns_off)) * step > math.radians(limits.same_deg) for turns_off in turns):
+                kept.append(Candidate(blob, slot, rotation, x, y, distance))
+        found += kept
     return found
 
 
-def _square(values: npt.NDArray[np.complex128]) -> npt.NDArray[np.float64]:
-    return values.real**2 + values.imag**2
+def _peaks(blobs: Shapes, slots: Shapes, blob: int, slot: int, limits: MatchLimits) -> list[tuple[int, float, float]]:
+    """Return starting point (of FINE), rotation (rad) and distance of the rotations that fit, best first."""
+    product = blobs.spectra.values[blob] * np.conj(slots.spectra.values[slot])
+    padded = np.zeros(FINE, np.complex128)
+    padded[: SAMPLES // 2], padded[-SAMPLES // 2 :] = product[: SAMPLES // 2], product[SAMPLES // 2 :]
+    # Mean over the samples of blob·conj(slot) for every starting point.
+    overlap = np.fft.ifft(padded) * (FINE / SAMPLES**2)
+    strength = np.abs(overlap)
+    energy = (blobs.spectra.energy[blob] + slots.spectra.energy[slot]) / SAMPLES**2
+    square = energy - 2.0 * strength
+    peak = (
+        (square <= limits.distance_mm[slot] ** 2)
+        & (strength >= np.roll(strength, 1))
+        & (strength > np.roll(strength, -1))
+    )
+    starts = np.flatnonzero(peak)
+    starts = starts[np.argsort(square[starts], kind="stable")][:MAX_ROTATIONS]
+    return [(int(at), float(np.angle(overlap[at])), math.sqrt(max(float(square[at]), 0.0))) for at in starts]
+
+
+def _refined(
+    blobs: Shapes, slots: Shapes, blob: int, slot: int, start: int, rotation: float, floor_mm: float
+) -> tuple[float, float, float]:
+    """Return rotation (rad), x and y that lay the slot's outline over the blob's by the distances along its normals.
+
+    A uniform offset is left free.
+
+    Gauss-Newton with Cauchy's weights: A. Fitzgibbon, "Robust registration of 2D and 3D point sets", Image and Vision
+    Computing 21, 2003, in its simplest form.
+    """
+    outline, model, normals = blobs.samples[blob], slots.samples[slot], slots.normals
+    if normals is None:
+        msg = "the slots' outlines were described without normals"
+        raise ValueError(msg)
+    shift = (start * SAMPLES + FINE // 2) // FINE
+    compared = np.arange(0, SAMPLES, EVERY)
+    near = (compared[:, None] - shift + np.arange(-WINDOW, WINDOW + 1)) % SAMPLES
+    place, spread = 0j, 8.0 * floor_mm
+    for _ in range(REFINEMENTS):
+        turn = np.exp(1j * rotation)
+        points, outward = model * turn, normals[slot] * turn
+        reach = max(1.0, float((np.abs(points.real) + np.abs(points.imag)).max()))
+        there = outline[compared] - place
+        nearest = near[np.arange(len(compared)), np.argmin(np.abs(there[:, None] - points[near]), axis=1)]
+        normal = outward[nearest]
+        away = (np.conj(normal) * (there - points[nearest])).real
+        lever = (np.conj(1j * there) * normal).real / reach
+        rows = np.column_stack([normal.real, normal.imag, lever, np.ones(len(compared))])
+        weight = 1.0 / (1.0 + (away / spread) ** 2)
+        left = rows.T @ (weight[:, None] * rows) + 1e-3 * np.eye(4)
+        change: list[float] = np.asarray(np.linalg.solve(left, rows.T @ (weight * away)), np.float64).tolist()
+        place += complex(change[0], change[1])
+        rotation += change[2] / reach
+        mean = float(np.sum(weight * np.minimum(np.abs(away), 4.0 * spread)) / max(float(weight.sum()), 1e-9))
+        spread = max(2.0 * floor_mm, min(spread, 2.0 * mean))
+    moved = blobs.middle[blob] + place - np.exp(1j * rotation) * slots.middle[slot]
+    return rotation, float(moved.real), float(moved.imag)
 
 
 def assign(cost: npt.NDArray[np.float64]) -> list[tuple[int, int]]:

@@ -102,6 +102,20 @@ class Rings:
         """Return ``count`` points of each ring at equal distances, from its first point on: (rings, count, 2)."""
         if len(self) == 0:
             return np.zeros((0, count, 2))
+        edge, share = self._stations(count)
+        points = self.points[edge] + share[:, None] * (self.points[self._next[edge]] - self.points[edge])
+        return points.reshape(len(self), count, 2)
+
+    def normals(self, count: int) -> npt.NDArray[np.complex128]:
+        """Return the outward unit normals, x + iy, of counter-clockwise rings at their `resampled` points."""
+        if len(self) == 0:
+            return np.zeros((0, count), np.complex128)
+        edges, length = self._edges
+        outward = (edges[:, 1] - 1j * edges[:, 0]) / np.maximum(length, 1e-12)
+        return outward[self._stations(count)[0]].reshape(len(self), count)
+
+    def _stations(self, count: int) -> tuple[Index, Floats]:
+        """Return the edge on which each of the resampled points lies, and how far along it, 0 ... 1."""
         _, length = self._edges
         # All rings one behind the other on one axis; each one's first point stands at its beginning and at its end.
         along = np.concatenate([[0.0], np.cumsum(length)])
@@ -111,10 +125,7 @@ class Rings:
         owner = np.repeat(np.arange(len(self)), count)
         edge = np.clip(edge, self.starts[:-1][owner], self.starts[1:][owner] - 1)
         share = (at.reshape(-1) - along[edge]) / np.maximum(length[edge], 1e-12)
-        points = self.points[edge] + np.clip(share, 0.0, 1.0)[:, None] * (
-            self.points[self._next[edge]] - self.points[edge]
-        )
-        return points.reshape(len(self), count, 2)
+        return edge, np.clip(share, 0.0, 1.0)
 
 
 def distance_to_outline(points: Points, polygon: Points) -> npt.NDArray[np.float64]:

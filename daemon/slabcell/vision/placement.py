@@ -19,11 +19,12 @@ from slabcell.calibration.model import Calibration
 from slabcell.geometry import RigidTransform2D
 from slabcell.recipe import Recipe
 from slabcell.vision.edge_profile import ProfileModel
-from slabcell.vision.edge_projection import Outlines, Poses, ProjectedEdges, maps_of
-from slabcell.vision.kernel import engine
+from slabcell.vision.edge_projection import Outlines, Poses, ProjectedEdges
+from slabcell.vision.kernel import engine, maps_of
 from slabcell.vision.locate import Locator
+from slabcell.vision.outline_set import OutlineSet
+from slabcell.vision.picture_model import SIGMA_PX, WALL_RATIO
 from slabcell.vision.pixels import Grey, as_grey
-from slabcell.vision.registration import SIGMA_PX, WALL_RATIO
 from slabcell.vision.seams import measure_seams
 from slabcell.vision.segmentation import segment
 
@@ -183,7 +184,7 @@ def _measure(
     )
     outlines = [locator.pieces[slot] for slot in filled]
     together, mirrored = Outlines.of(outlines), locator.plane.mirrored
-    maps, owner = maps_of(locator.plane, outlines, nominal), together.owner
+    maps, owner = maps_of(locator.plane, OutlineSet(tuple(outlines), pivots), nominal.position), together.owner
     edges = engine().project(together, maps, nominal, mirrored=mirrored)
     neighbour = _neighbours(locator, filled)
     joints = _joints(grey, edges, owner, nominal, neighbour, _table_level(grey, mask))

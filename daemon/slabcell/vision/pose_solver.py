@@ -18,7 +18,9 @@ __all__ = ["UNKNOWNS", "Measured", "Solution", "solve"]
 Floats = npt.NDArray[np.float64]
 
 UNKNOWNS = 4
-ROBUST_STEPS = 6
+# Steps of the weights at most; an outline is done when a step moves it by less than CONVERGED_MM.
+ROBUST_STEPS = 8
+CONVERGED_MM = 1e-5
 # Cut of Tukey's biweight in robust standard deviations.
 TUKEY = 4.7
 
@@ -44,10 +46,15 @@ class Measured:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """``change`` (outlines, 4), its ``covariance`` (outlines, 4, 4), and what ``remains`` of each piece's distance."""
+    """``change`` (outlines, 4), its ``covariance`` (outlines, 4, 4), and what ``remains`` of each piece's distance.
+
+    The covariance is what the pieces' own sigmas say; ``spread`` (outlines,) is how much more or less their distances
+    scatter than that, robustly: 1 as they should.
+    """
 
     change: Floats
     covariance: Floats
+    spread: Floats
     remains: Floats
 
 
@@ -63,21 +70,29 @@ def solve(measured: Measured, prior: float) -> Solution:
     unknown = np.zeros((count, UNKNOWNS))
     normal = np.tile(np.eye(UNKNOWNS), (count, 1, 1))
     remains = measured.distance
-    spread = np.full(count, 0.5)
-    for _ in range(ROBUST_STEPS):
+    spread = np.zeros(count)
+    moving = np.ones(count, np.bool_)
+    for step in range(ROBUST_STEPS):
         weight = base * robust
-        normal = _sums(owner, weight[:, None, None] * rows[:, :, None] * rows[:, None, :], count)
+        now = (
+            _sums(owner, weight[:, None, None] * rows[:, :, None] * rows[:, None, :], count) + np.eye(UNKNOWNS) * prior
+        )
         right = _sums(owner, (weight * measured.distance)[:, None] * rows, count)
-        normal += np.eye(UNKNOWNS) * prior
-        unknown = np.linalg.solve(normal, right[:, :, None])[:, :, 0].astype(np.float64, copy=False)
+        found = np.linalg.solve(now, right[:, :, None])[:, :, 0].astype(np.float64, copy=False)
+        away = np.abs(found - unknown).max(axis=1)
+        unknown = np.where(moving[:, None], found, unknown)
+        normal = np.where(moving[:, None, None], now, normal)
         remains = measured.distance - np.sum(rows * unknown[owner], axis=1)
         scaled = np.abs(remains) / measured.sigma
-        spread = np.maximum(_medians(owner, np.where(measured.valid, scaled, np.nan), count) / 0.6745, 0.5)
-        robust = np.maximum(1.0 - (scaled / (TUKEY * np.maximum(spread, 1.0)[owner])) ** 2, 0.0) ** 2
+        spread = _medians(owner, np.where(measured.valid, scaled, np.nan), count) / 0.6745
+        if step:
+            moving = moving & (away >= CONVERGED_MM)
+        again = np.maximum(1.0 - (scaled / (TUKEY * np.maximum(spread, 1.0)[owner])) ** 2, 0.0) ** 2
+        robust = np.where(moving[owner], again, robust)
     unscale = np.column_stack([np.ones(count), np.ones(count), 1.0 / arm, np.ones(count)])
     covariance: Floats = np.linalg.inv(normal).astype(np.float64, copy=False)
-    covariance = covariance * np.maximum(spread**2, 1.0)[:, None, None] * (unscale[:, :, None] * unscale[:, None, :])
-    return Solution(unknown * unscale, covariance, remains)
+    covariance = covariance * (unscale[:, :, None] * unscale[:, None, :])
+    return Solution(unknown * unscale, covariance, spread, remains)
 
 
 def _sums(owner: npt.NDArray[np.intp], values: Floats, count: int) -> Floats:

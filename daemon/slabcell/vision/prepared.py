@@ -1,19 +1,27 @@
 """What of a calibration and a recipe is the same for every picture?  Made once, when first asked for."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
 
 from slabcell.calibration.model import Calibration
 from slabcell.geometry import Polygon
 from slabcell.recipe import Recipe
 from slabcell.vision.ambiguity import kinds_of
-from slabcell.vision.describe import MIN_WALL_PX, Shapes, describe_slots, widest_wall_px
+from slabcell.vision.describe import MIN_WALL_PX, describe_slots, widest_wall_px
 from slabcell.vision.edges import EdgePieces, cut_edges
 from slabcell.vision.grasp import Grasp, choose_grasp
+from slabcell.vision.outline_set import OutlineSet
 from slabcell.vision.plane import PlaneView
+from slabcell.vision.shapes import Shapes
 from slabcell.vision.symmetry import symmetry_order
 
 __all__ = ["Prepared"]
+
+Complex = npt.NDArray[np.complex128]
 
 # Outlines count as alike when no corner leaves the other by more than this in pixels, or by the recipe's alike_mm,
 # whichever is more.
@@ -48,6 +56,27 @@ class Prepared:
         return self.recipe.template.slots
 
     @cached_property
+    def corners(self) -> tuple[Complex, ...]:
+        """The slots' vertices as x + iy."""
+        return tuple(slot.vertices[:, 0] + 1j * slot.vertices[:, 1] for slot in self.slots)
+
+    @cached_property
+    def middles(self) -> Complex:
+        """The slots' centroids as x + iy, (slots,)."""
+        return np.array([complex(*slot.centroid) for slot in self.slots])
+
+    @cached_property
+    def grasp_points(self) -> Complex:
+        """Where each slot's slab is grasped, as x + iy; NaN where it cannot be, (slots,)."""
+        nowhere = complex(math.nan, math.nan)
+        return np.array([nowhere if grasp.point is None else complex(*grasp.point) for grasp in self.grasps])
+
+    @cached_property
+    def turns(self) -> npt.NDArray[np.float64]:
+        """The slots' `orders`, (slots,)."""
+        return np.array(self.orders, np.float64)
+
+    @cached_property
     def shapes(self) -> Shapes:
         """Features of the slots."""
         return describe_slots(self.slots)
@@ -60,6 +89,11 @@ class Prepared:
     @property
     def _alike_mm(self) -> float:
         return max(self.recipe.matching.alike_mm, ALIKE_PX * self.plane.mm_per_px)
+
+    @cached_property
+    def outlines(self) -> OutlineSet:
+        """The slots' outlines, as they are registered."""
+        return OutlineSet(self.pieces, np.column_stack([self.middles.real, self.middles.imag]))
 
     @cached_property
     def orders(self) -> tuple[int, ...]:

@@ -5,6 +5,7 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 from slabcell.geometry import PlanarPose, Points, RigidTransform2D
 from slabcell.vision.features import BlobFeatures
@@ -25,8 +26,7 @@ class RejectionReason(StrEnum):
     FILTERED = "filtered"
 
 
-@dataclass(frozen=True, slots=True)
-class ImagePose:
+class ImagePose(NamedTuple):
     """The grasp point in the picture, in pixels, and the direction there of the part's X axis.
 
     The angle counts counter-clockwise as the picture is seen: from u towards minus v.
@@ -37,8 +37,7 @@ class ImagePose:
     angle_deg: float
 
 
-@dataclass(frozen=True, slots=True)
-class Sigma:
+class Sigma(NamedTuple):
     """Standard deviations of the part's pose on the table."""
 
     x_mm: float

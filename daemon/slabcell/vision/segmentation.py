@@ -5,7 +5,8 @@ noise alone) gives an empty mask.  The edge itself is measured later on the raw 
 only to a pixel or two.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import cv2
@@ -13,25 +14,18 @@ import numpy as np
 import numpy.typing as npt
 
 from slabcell.recipe import SegmentationParameters
+from slabcell.vision.blobs import RawBlob, blobs_of, find_blobs
 from slabcell.vision.clustering import cluster
+from slabcell.vision.kernel import engine
 from slabcell.vision.morphology import apply_morphology
 from slabcell.vision.pixels import Grey, as_8_bit
-from slabcell.vision.thresholds import (
-    DARK_OFFSET,
-    Split,
-    dynamic_range,
-    estimate_noise,
-    histogram_of,
-    several_levels,
-    split_in_two,
-)
+from slabcell.vision.survey import Survey
+from slabcell.vision.thresholds import DARK_OFFSET, Split, dynamic_range, several_levels
 
 __all__ = ["Segmentation", "segment"]
 
 Mask = npt.NDArray[np.uint8]
 
-# The histogram is made of every SUBSAMPLE-th pixel in both directions.
-SUBSAMPLE = 4
 # Two populations are told apart when their means differ by this many standard deviations of the pixel noise ...
 MIN_CONTRAST_SIGMA = 6.0
 # ... and by this many of 255 grey levels.
@@ -40,69 +34,101 @@ MIN_CONTRAST = 8.0
 MAX_VALLEY_SHARE = 0.10
 # The local threshold follows the light on a picture reduced by this factor.
 REDUCTION = 8
+# No pixel of 8 bits is above this level.
+NOTHING = 255.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Segmentation:
-    """``mask`` is 255 on slabs and 0 elsewhere, shape (h, w); ``description`` says how it came about.
+    """Which pixels belong to slabs; ``description`` says how that came about.
 
     ``picture``: what was looked at, 8 bits; ``contrast``: difference of its two populations of grey, 0 where there is
-    one only.
+    one only.  ``level``: the grey level that alone parts slabs from table, ``light`` on which side the slabs are; None
+    where the mask was made in another way.
     """
 
-    mask: Mask
     description: str
     picture: Mask
     contrast: float
+    level: float | None = None
+    light: bool = True
+    made: Mask | None = field(default=None, repr=False)
+
+    @cached_property
+    def mask(self) -> Mask:
+        """255 on slabs and 0 elsewhere, shape (h, w)."""
+        if self.made is not None:
+            return self.made
+        kind = cv2.THRESH_BINARY if self.light else cv2.THRESH_BINARY_INV
+        return _as_mask(cv2.threshold(self.picture, NOTHING if self.level is None else self.level, 255, kind)[1])
+
+    def blobs(self, min_area_px: float) -> tuple[list[RawBlob], int]:
+        """Return the blobs of at least this area, largest first, and how many others were left out.
+
+        Where one level parts slabs from table their outlines are known to a fraction of a pixel.
+        """
+        if self.level is None:
+            return find_blobs(self.mask, min_area_px)
+        contours = engine().trace(
+            self.picture, self.level, dark=not self.light, interpolate=True, min_area_px=min_area_px
+        )
+        return blobs_of(contours)
 
 
-def segment(grey: Grey, parameters: SegmentationParameters, image: npt.NDArray[Any] | None = None) -> Segmentation:
-    """Return the mask of the slabs in a grey picture; ``image`` is the same picture in colour, if there is one.
+def segment(
+    grey: Grey,
+    parameters: SegmentationParameters,
+    image: npt.NDArray[Any] | None = None,
+    *,
+    surveyed: Survey | None = None,
+) -> Segmentation:
+    """Return which pixels of a grey picture are slabs.
 
-    For method promptable it is the mask that the prompts come from.
+    ``image`` is the same picture in colour, if there is one; ``surveyed`` its survey with 8 bits, if it was made
+    already.  For method promptable it is what the prompts come from.
     """
     if parameters.method == "promptable" and parameters.promptable is not None:
         parameters = parameters.model_copy(update={"method": parameters.promptable.coarse})
     picture = as_8_bit(grey)
-    sample = picture[::SUBSAMPLE, ::SUBSAMPLE]
-    histogram = histogram_of(sample)
-    split = split_in_two(histogram)
+    if surveyed is None:
+        surveyed = engine().survey(picture)
+    histogram = surveyed.grey
+    split = engine().split(surveyed)
     contrast = 0.0 if split is None else split.light - split.dark
     if parameters.method == "kmeans":
         colour = image is not None and image.ndim == 3 and image.dtype == np.uint8
         mask, text = cluster(image if colour and image is not None else picture, parameters.classes)
-        return _finish(mask, text, picture, contrast, light=True, parameters=parameters)
+        return _finish(Segmentation(text, picture, contrast, made=mask), parameters)
     if parameters.method == "fixed" and parameters.threshold is not None:
-        mask = (grey > parameters.threshold).astype(np.uint8) * np.uint8(255)
-        light = _slabs_are_light(mask[::SUBSAMPLE, ::SUBSAMPLE], 127.0, parameters.polarity)
-        return _finish(
-            mask, f"fixed threshold {parameters.threshold}", picture, contrast, light=light, parameters=parameters
-        )
-    noise = estimate_noise(sample)
-    needed = max(MIN_CONTRAST, MIN_CONTRAST_SIGMA * noise)
+        text, threshold = f"fixed threshold {parameters.threshold}", parameters.threshold
+        if grey.dtype == np.uint8:
+            light = _slabs_are_light(picture, threshold + 0.5, parameters.polarity)
+            return _finish(Segmentation(text, picture, contrast, min(threshold + 0.5, NOTHING), light), parameters)
+        above = np.zeros(grey.shape, np.uint8)
+        above[grey > threshold] = 255
+        light = _slabs_are_light(above, 127.0, parameters.polarity)
+        return _finish(Segmentation(text, picture, contrast, light=light, made=_side(above, light=light)), parameters)
+    needed = max(MIN_CONTRAST, MIN_CONTRAST_SIGMA * surveyed.noise)
     if split is None or contrast < needed:
-        return Segmentation(
-            np.zeros_like(picture),
-            f"no slabs: light and dark differ by {contrast:.1f} of 255 grey levels, {needed:.1f} are needed"
-            f" (noise {noise:.1f})",
-            picture,
-            0.0,
-        )
-    light = _slabs_are_light(sample, split.level, parameters.polarity)
-    mask, text = _threshold(picture, histogram, split, parameters, light=light)
+        text = f"no slabs: light and dark differ by {contrast:.1f} of 255 grey levels, {needed:.1f} are needed"
+        return Segmentation(f"{text} (noise {surveyed.noise:.1f})", picture, 0.0, NOTHING)
+    light = _slabs_are_light(picture, split.level, parameters.polarity)
+    found, text = _threshold(picture, histogram, split, parameters, light=light)
     text = f"{text}; slabs are {'light' if light else 'dark'}"
-    return _finish(mask, text, picture, contrast, light=light, parameters=parameters)
+    if isinstance(found, float):
+        return _finish(Segmentation(text, picture, contrast, found, light), parameters)
+    return _finish(Segmentation(text, picture, contrast, light=light, made=_side(found, light=light)), parameters)
 
 
 def _threshold(
     picture: Mask,
-    histogram: npt.NDArray[np.float64],
+    histogram: npt.NDArray[np.int64],
     split: Split,
     parameters: SegmentationParameters,
     *,
     light: bool,
-) -> tuple[Mask, str]:
-    """Return where the picture is light, and what was done."""
+) -> tuple[Mask | float, str]:
+    """Return the level above which the picture is light, or where it is, and what was done."""
     method, why = parameters.method, ""
     if method == "auto":
         method = "otsu" if split.valley_share <= MAX_VALLEY_SHARE else "local"
@@ -117,13 +143,13 @@ def _threshold(
             return _soft(
                 picture, level - half, level + half
             ), f"soft threshold {level - half:.0f} ... {level + half:.0f}"
-        return _lighter(picture, level), f"dynamic threshold {level:.0f}, range {low:.0f} ... {high:.0f}"
+        return level, f"dynamic threshold {level:.0f}, range {low:.0f} ... {high:.0f}"
     if method == "multi_otsu":
         levels = several_levels(histogram, parameters.classes)
         index = len(levels) - parameters.slab_classes if light else parameters.slab_classes - 1
         shown = ", ".join(f"{level:.0f}" for level in levels)
-        return _lighter(picture, levels[index]), f"multi_otsu levels {shown}, slabs beyond {levels[index]:.0f}"
-    return _lighter(picture, split.level), f"otsu threshold {split.level:.0f} of 255{why}"
+        return levels[index], f"multi_otsu levels {shown}, slabs beyond {levels[index]:.0f}"
+    return split.level, f"otsu threshold {split.level:.0f} of 255{why}"
 
 
 def _lighter(picture: Mask, level: float) -> Mask:
@@ -141,11 +167,16 @@ def _soft(picture: Mask, low: float, high: float) -> Mask:
     return _lighter(_as_mask(cv2.GaussianBlur(lifted, (3, 3), 0)), 127.5)
 
 
-def _slabs_are_light(sample: Mask, level: float, polarity: str) -> bool:
+def _slabs_are_light(picture: Mask, level: float, polarity: str) -> bool:
+    """Return whether the slabs are what is lighter: the rim of a picture mostly shows the table."""
     if polarity != "auto":
         return polarity == "light"
-    rim = np.concatenate([sample[0], sample[-1], sample[:, 0], sample[:, -1]])
-    return bool(np.mean(rim > level) <= 0.5)
+    rim = np.concatenate([picture[0, ::4], picture[-1, ::4], picture[::4, 0], picture[::4, -1]])
+    return int(np.count_nonzero(rim > level)) <= 0.5 * rim.size
+
+
+def _side(above: Mask, *, light: bool) -> Mask:
+    return above if light else _as_mask(cv2.bitwise_not(above))
 
 
 def _local(picture: Mask, split: Split, window_px: int, *, light: bool) -> Mask:
@@ -175,13 +206,15 @@ def _as_mask(picture: npt.NDArray[Any]) -> Mask:
     return picture.astype(np.uint8, copy=False)
 
 
-def _finish(
-    mask: Mask, description: str, picture: Mask, contrast: float, *, light: bool, parameters: SegmentationParameters
-) -> Segmentation:
-    found = mask if light else _as_mask(cv2.bitwise_not(mask))
+def _finish(found: Segmentation, parameters: SegmentationParameters) -> Segmentation:
+    """Return the segmentation after region of interest and morphology, where the recipe has them."""
+    if parameters.roi is None and not parameters.morphology:
+        return found
+    mask = found.mask
     if parameters.roi is not None:
-        inside = np.zeros_like(found)
+        inside = np.zeros_like(mask)
         corners = np.clip(np.rint(parameters.roi), -32000, 32000).astype(np.int32)
         cv2.fillPoly(inside, [corners], 255)
-        found = _as_mask(cv2.bitwise_and(found, inside))
-    return Segmentation(apply_morphology(found, parameters.morphology), description, picture, contrast)
+        mask = _as_mask(cv2.bitwise_and(mask, inside))
+    made = apply_morphology(mask, parameters.morphology)
+    return Segmentation(found.description, found.picture, found.contrast, light=found.light, made=made)

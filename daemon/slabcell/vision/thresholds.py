@@ -6,19 +6,21 @@ Information Science and Engineering 17(5), 2001, for several levels.  The dynami
 machine vision: a share of the range that remains when the tails of the histogram are left out.
 """
 
+import math
 from dataclasses import dataclass
+from typing import Self
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["DARK_OFFSET", "Split", "dynamic_range", "estimate_noise", "histogram_of", "several_levels", "split_in_two"]
+__all__ = ["DARK_OFFSET", "Split", "dynamic_range", "several_levels", "split_in_two"]
 
-Grey8 = npt.NDArray[np.uint8]
-Levels = npt.NDArray[np.float64]
+Levels = npt.NDArray[np.int64]
 
 # Added before the logarithm, in grey levels: below it the picture is noise, not reflectance.
 DARK_OFFSET = 8.0
+# Of the 256 levels.
+LOGARITHMS = np.log(np.arange(256) + DARK_OFFSET)
 # Grey levels of the coarser histogram on which several thresholds are searched for exhaustively.
 COARSE_LEVELS = 64
 
@@ -35,17 +37,19 @@ class Split:
     light: float
     valley_share: float
 
+    @classmethod
+    def of(cls, level: float, dark: float, light: float, valley_share: float) -> Self:
+        """Return a split whose means are `LOGARITHMS`."""
+        return cls(level, math.exp(dark) - DARK_OFFSET, math.exp(light) - DARK_OFFSET, valley_share)
 
-def histogram_of(picture: Grey8) -> Levels:
-    """Return how many pixels have each of the 256 grey levels."""
-    return cv2.calcHist([picture], [0], None, [256], [0, 256]).reshape(-1).astype(np.float64)
 
+def split_in_two(histogram: npt.NDArray[np.int64]) -> Split | None:
+    """Return the best split of a histogram of 256 levels in two populations, or None if all pixels have one grey.
 
-def split_in_two(histogram: Levels) -> Split | None:
-    """Return the best split of a histogram in two populations, or None if all pixels have one grey."""
-    values = np.log(np.arange(256) + DARK_OFFSET)
-    weight = np.cumsum(histogram)
-    moment = np.cumsum(histogram * values)
+    This is the reference implementation, in NumPy; `kernel` runs the same in C where that was compiled.
+    """
+    weight = np.cumsum(histogram).astype(np.float64)
+    moment = np.cumsum(histogram * LOGARITHMS)
     below, above = weight[:-1], weight[-1] - weight[:-1]
     usable = (below > 0) & (above > 0)
     if not np.any(usable):
@@ -56,29 +60,9 @@ def split_in_two(histogram: Levels) -> Split | None:
     # Between two populations with a gap the criterion is flat: take the middle of the plateau.
     best = np.flatnonzero(between >= between.max() * (1 - 1e-9))
     cut = int(best[len(best) // 2])
-    low, high = mean_below[cut], mean_above[cut]
-    between_both = (values > low + 0.35 * (high - low)) & (values < low + 0.65 * (high - low))
-    return Split(
-        level=cut + 0.5,
-        dark=float(np.exp(low) - DARK_OFFSET),
-        light=float(np.exp(high) - DARK_OFFSET),
-        valley_share=float(histogram[between_both].sum() / min(below[cut], above[cut])),
-    )
-
-
-def estimate_noise(sample: Grey8) -> float:
-    """Return the standard deviation of the pixel noise, from differences of neighbours, which edges barely touch."""
-    if sample.shape[1] < 3:
-        return 0.0
-    rows = sample[::4]
-    counts = histogram_of(np.asarray(cv2.absdiff(rows[:, 1:], rows[:, :-1]), np.uint8))
-    # The median of |N(0, s√2)| is 0.954 s; interpolated within its grey level.
-    half = 0.5 * float(counts.sum())
-    cumulative = np.cumsum(counts)
-    middle = int(np.count_nonzero(cumulative < half))
-    before = float(cumulative[middle - 1]) if middle else 0.0
-    median = max(0.0, middle - 0.5 + (half - before) / max(float(counts[middle]), 1.0))
-    return median / 0.954
+    low, high = float(mean_below[cut]), float(mean_above[cut])
+    between_both = (low + 0.35 * (high - low) < LOGARITHMS) & (low + 0.65 * (high - low) > LOGARITHMS)
+    return Split.of(cut + 0.5, low, high, float(histogram[between_both].sum() / min(below[cut], above[cut])))
 
 
 def dynamic_range(histogram: Levels, low_tail_percent: float, high_tail_percent: float) -> tuple[float, float]:

@@ -6,8 +6,9 @@ part is registered in the raw pixels.  Guesses that pass and do not overlap are 
 blob; what is explained by half is not picked.
 """
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,14 +16,15 @@ import numpy.typing as npt
 
 from slabcell.geometry import Points, Polygon, RigidTransform2D
 from slabcell.vision.blobs import RawBlob
-from slabcell.vision.edge_projection import Outlines, Poses, maps_of
+from slabcell.vision.edge_projection import Outlines, Poses
 from slabcell.vision.edges import EdgePieces
-from slabcell.vision.kernel import engine
+from slabcell.vision.kernel import engine, maps_of
 from slabcell.vision.matching import Candidate
 from slabcell.vision.outline import Rings
+from slabcell.vision.outline_set import OutlineSet
 from slabcell.vision.pixels import Grey
 from slabcell.vision.prepared import Prepared
-from slabcell.vision.registration import Registration, register
+from slabcell.vision.registration import Registration
 
 __all__ = ["split_blob"]
 
@@ -67,7 +69,6 @@ def split_blob(prepared: Prepared, grey: Grey, mask: Mask, index: int, blob: Raw
     Each slab is a list: how it is registered, and then what else could lie in that place, another slot or rotation.
     """
     rings = Rings.of([prepared.plane.from_pixels(blob.polygon)]).counter_clockwise()
-    rings = rings.offset_outward(0.5 * prepared.plane.mm_per_px)
     guesses = _guess(rings.points, prepared)
     if len(guesses.slot) == 0:
         return []
@@ -78,10 +79,10 @@ def split_blob(prepared: Prepared, grey: Grey, mask: Mask, index: int, blob: Raw
         return []
     _, _, pieces = _look(prepared, mask, guesses, ROUGH_PX)
     candidates = [
-        Candidate(index, number, _motion(prepared, guesses, number), 0.0) for number in range(len(guesses.slot))
+        Candidate(index, number, *_place(prepared, guesses, number), 0.0) for number in range(len(guesses.slot))
     ]
-    outlines = [prepared.slots[slot] for slot in guesses.numbers]
-    registered = register(grey, prepared.plane, outlines, pieces, candidates)
+    outlines = OutlineSet.of([prepared.slots[slot] for slot in guesses.numbers], pieces)
+    registered = engine().register(grey, prepared.plane, outlines, candidates, rough=True)
     return _explain(prepared, mask, guesses.slot, registered, abs(float(rings.moments[0][0])))
 
 
@@ -140,7 +141,9 @@ def _look(
     pivots: Points = np.array([prepared.slots[slot].centroid for slot in guesses.numbers])
     poses = Poses(guesses.rotation, guesses.position, pivots, np.zeros(len(whole)))
     outlines = Outlines.of(whole)
-    edges = engine().project(outlines, maps_of(plane, whole, poses), poses, mirrored=plane.mirrored)
+    edges = engine().project(
+        outlines, maps_of(plane, OutlineSet(tuple(whole), pivots), guesses.position), poses, mirrored=plane.mirrored
+    )
     within = edges.lines.middle - distance_px * edges.lines.outward
     beyond = edges.lines.middle + (edges.lines.wall + distance_px)[:, None] * edges.lines.outward
     inner, outer = _at(mask, within), ~_at(mask, beyond)
@@ -161,11 +164,12 @@ def _at(mask: Mask, pixels: Points) -> npt.NDArray[np.bool_]:
     return seen & (mask[whole[:, 1], whole[:, 0]] > 0)
 
 
-def _motion(prepared: Prepared, guesses: _Guesses, index: int) -> RigidTransform2D:
-    turn = float(np.rad2deg(guesses.rotation[index]))
+def _place(prepared: Prepared, guesses: _Guesses, index: int) -> tuple[float, float, float]:
+    """Return rotation (rad), x and y of the motion of a guess: table = motion·assembly."""
+    turn = float(guesses.rotation[index])
     pivot = prepared.slots[int(guesses.slot[index])].centroid
-    x, y = guesses.position[index] - RigidTransform2D(turn, 0.0, 0.0).apply(pivot)
-    return RigidTransform2D(turn, float(x), float(y))
+    x, y = guesses.position[index] - RigidTransform2D(math.degrees(turn), 0.0, 0.0).apply(pivot)
+    return turn, float(x), float(y)
 
 
 def _explain(
@@ -180,7 +184,7 @@ def _explain(
     numbers = [int(slot) for slot in slots]
     pivots = [prepared.slots[slot].centroid for slot in numbers]
     places = [item.motion.apply(pivot) for item, pivot in zip(registered, pivots, strict=True)]
-    turns = np.deg2rad([item.motion.rotation_deg for item in registered])
+    turns = np.array([item.rotation for item in registered])
     inside, free, _ = _look(prepared, mask, _Guesses(slots, turns, np.array(places)), FINE_PX)
     order = sorted(range(len(registered)), key=lambda index: -registered[index].coverage * free[index])
     order = [index for index in order if inside[index] >= FINE_INSIDE and free[index] >= MIN_FREE]
@@ -192,7 +196,7 @@ def _explain(
         if item.coverage < MIN_COVERAGE or item.residual_mm > RESIDUAL_SHARE * limits.max_residual_mm:
             continue
         polygon = prepared.slots[slot].transformed(item.motion)
-        own = replace(item, candidate=replace(item.candidate, slot=slot))
+        own = item._replace(candidate=item.candidate._replace(slot=slot))
         covered = [_overlap(polygon, other) / polygon.area_mm2 for other in laid]
         place = next((number for number, share in enumerate(covered) if share > SAME_PLACE), None)
         if place is not None:

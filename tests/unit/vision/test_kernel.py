@@ -7,11 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slabcell.vision import edge_profile, edge_projection, kernel, pose_solver
+from slabcell.vision import edge_profile, edge_projection, kernel, native, pose_solver
 from slabcell.vision.edge_profile import EdgeLines, ProfileModel
-from slabcell.vision.edge_projection import Outlines, Poses, maps_of
+from slabcell.vision.edge_projection import Outlines, Poses
 from slabcell.vision.edges import cut_edges
-from slabcell.vision.local_map import LocalMaps
+from slabcell.vision.kernel import engine
+from slabcell.vision.local_map import LocalMaps, map_locally
+from slabcell.vision.native import NativeEngine
+from slabcell.vision.outline_set import OutlineSet
 from slabcell.vision.plane import PlaneView
 from slabcell.vision.pose_solver import Measured
 
@@ -71,20 +74,46 @@ def test_a_flat_picture_has_no_edge():
 
 
 @compiled
-@pytest.mark.parametrize("near", [False, True])
+@pytest.mark.parametrize(
+    "model",
+    [
+        MODEL,
+        ProfileModel(0.9, 6.0, 0.6, 0.1, near=True),
+        ProfileModel(0.7, 6.0, 0.6, 0.1, fit_blur=True),
+        ProfileModel(
+            0.9,
+            7.0,
+            0.5,
+            0.1,
+            near=True,
+            noise=2.0,
+            grain_inside=9.0,
+            grain_outside=3.0,
+            wall_light_u=0.1,
+            wall_light_v=-0.2,
+        ),
+    ],
+    ids=["far", "near", "blur", "grain"],
+)
 @pytest.mark.parametrize("top", [1, 200], ids=["8 bit", "16 bit"])
-def test_the_kernel_gives_the_numbers_of_the_reference(near: bool, top: int):
+def test_the_kernel_gives_the_numbers_of_the_reference(model: ProfileModel, top: int):
     picture, _ = step_edge(33, 0.4, top=top)
     lines = many_lines(4)
-    model = ProfileModel(0.9, 6.0, 0.6, 0.1, near=near)
     reference = edge_profile.measure_edges(picture, lines, model)
-    native = kernel.measure_edges(picture, lines, model)
-    assert np.array_equal(reference.valid, native.valid)
+    found = NativeEngine().measure_edges(picture, lines, model)
+    assert np.array_equal(reference.valid, found.valid)
     assert np.count_nonzero(reference.valid) > 5
-    both = reference.valid
-    assert native.shift[both] == pytest.approx(reference.shift[both], abs=1e-4)
-    assert native.sigma[both] == pytest.approx(reference.sigma[both], rel=1e-3, abs=1e-5)
-    assert native.inside[both] == pytest.approx(reference.inside[both], rel=1e-3)
+    both = reference.valid & (reference.sigma < (np.inf if top == 1 else 0.1))
+    # The places of pixels are rounded, more coarsely where levels of 16 bits need the room: far below their sigma.
+    allowed = 1e-4 if top == 1 else 5e-4 + 0.05 * reference.sigma[both]
+    assert np.all(np.abs(found.shift[both] - reference.shift[both]) <= allowed)
+    assert found.sigma[both] == pytest.approx(reference.sigma[both], rel=1e-3 if top == 1 else 1e-2, abs=1e-5)
+    assert found.inside[both] == pytest.approx(reference.inside[both], rel=1e-3 if top == 1 else 5e-3)
+    assert found.scatter[both] == pytest.approx(reference.scatter[both], rel=3e-2, abs=1e-3)
+    # Whether a bin at the limit of a side counts is a matter of the last digit.
+    assert found.scatter_inside[both] == pytest.approx(reference.scatter_inside[both], rel=0.1, abs=1e-3)
+    assert found.scatter_outside[both] == pytest.approx(reference.scatter_outside[both], rel=0.1, abs=1e-3)
+    assert found.blur[both] == pytest.approx(reference.blur[both], abs=1e-4)
 
 
 @compiled
@@ -94,11 +123,11 @@ def test_the_kernel_survives_lines_that_are_no_lines():
     grid = np.array(np.meshgrid(bad, bad, bad)).reshape(3, -1).T
     count = len(grid)
     lines = EdgeLines.of(grid[:, :2], np.tile([1.0, 0.0], (count, 1)), grid[:, 2], np.zeros(count), np.zeros(count))
-    assert not kernel.measure_edges(picture, lines, MODEL).valid.any()
+    assert not engine().measure_edges(picture, lines, MODEL).valid.any()
     lines = EdgeLines.of(
         np.tile([50.0, 50.0], (count, 1)), grid[:, :2], np.full(count, 9.0), grid[:, 2], np.zeros(count)
     )
-    assert kernel.measure_edges(picture, lines, MODEL).valid.shape == (count,)
+    assert engine().measure_edges(picture, lines, MODEL).valid.shape == (count,)
     lines = EdgeLines.of(
         np.tile([50.0, 50.0], (count, 1)),
         np.tile([1.0, 0.0], (count, 1)),
@@ -106,14 +135,14 @@ def test_the_kernel_survives_lines_that_are_no_lines():
         np.zeros(count),
         grid[:, 0],
     )
-    assert kernel.measure_edges(picture, lines, MODEL).valid.shape == (count,)
+    assert engine().measure_edges(picture, lines, MODEL).valid.shape == (count,)
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler here")
 def test_the_kernel_compiles_without_a_warning(tmp_path: Path):
-    source = Path(kernel.__file__).with_name("_kernel.c")
+    sources = [str(path) for path in Path(native.__file__).parent.glob("*.c")]
     command = ["cc", "-std=c11", "-O2", "-fPIC", "-shared", "-Wall", "-Wextra", "-Werror"]
-    subprocess.run([*command, "-o", str(tmp_path / "k.so"), str(source), "-lm"], check=True, timeout=60)
+    subprocess.run([*command, "-o", str(tmp_path / "k.so"), *sources, "-lm"], check=True, timeout=60)
 
 
 def placed(seed: int, *, height_mm: float) -> tuple[Outlines, LocalMaps, Poses, PlaneView]:
@@ -126,7 +155,8 @@ def placed(seed: int, *, height_mm: float) -> tuple[Outlines, LocalMaps, Poses, 
     poses = Poses(
         random.uniform(-3, 3, count), random.uniform(-120, 120, (count, 2)), pivots, random.normal(0, 0.3, count)
     )
-    return Outlines.of(outlines), maps_of(plane, outlines, poses), poses, plane
+    reaches = OutlineSet(tuple(outlines), pivots).reaches_mm + 12.0 * plane.mm_per_px
+    return Outlines.of(outlines), map_locally(plane, poses.position, reaches), poses, plane
 
 
 @pytest.mark.parametrize("height_mm", [0.0, 12.0])
@@ -146,9 +176,9 @@ def test_the_maps_of_small_parts_agree_with_the_lens_model(height_mm: float):
 def test_the_kernel_projects_as_the_reference_does(mirrored: bool):
     outlines, maps, poses, _ = placed(4, height_mm=12.0)
     reference = edge_projection.project(outlines, maps, poses, mirrored=mirrored)
-    native = kernel.NativeEngine().project(outlines, maps, poses, mirrored=mirrored)
-    assert native.lines.table == pytest.approx(reference.lines.table, abs=1e-8)
-    assert native.extras == pytest.approx(reference.extras, abs=1e-8)
+    found = NativeEngine().project(outlines, maps, poses, mirrored=mirrored)
+    assert found.lines.table == pytest.approx(reference.lines.table, abs=1e-8)
+    assert found.extras == pytest.approx(reference.extras, abs=1e-8)
 
 
 def measured(seed: int, *, lost: float) -> Measured:
@@ -173,16 +203,17 @@ def test_the_solver_finds_a_motion_among_gross_errors():
 @pytest.mark.parametrize("lost", [0.0, 0.3, 1.0])
 def test_the_kernel_solves_as_the_reference_does(lost: float):
     given = measured(6, lost=lost)
-    reference, native = pose_solver.solve(given, 0.04), kernel.NativeEngine().solve(given, 0.04)
-    assert native.change == pytest.approx(reference.change, abs=1e-9)
-    assert native.remains == pytest.approx(reference.remains, abs=1e-9)
-    assert native.covariance == pytest.approx(reference.covariance, rel=1e-6, abs=1e-12)
+    reference, found = pose_solver.solve(given, 0.04), NativeEngine().solve(given, 0.04)
+    assert found.change == pytest.approx(reference.change, abs=1e-9)
+    assert found.remains == pytest.approx(reference.remains, abs=1e-9)
+    assert found.spread == pytest.approx(reference.spread, abs=1e-9)
+    assert found.covariance == pytest.approx(reference.covariance, rel=1e-6, abs=1e-12)
 
 
 def test_a_library_that_is_no_kernel_is_refused(tmp_path: Path):
     (tmp_path / "k.so").write_bytes(b"not a library")
     with pytest.raises(OSError, match=r"k\.so"):
-        kernel.NativeEngine(tmp_path / "k.so")
+        NativeEngine(tmp_path / "k.so")
 
 
 def test_without_the_kernel_the_reference_is_used_and_said(tmp_path: Path):

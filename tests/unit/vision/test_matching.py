@@ -5,7 +5,7 @@ from slabcell.geometry import RigidTransform2D
 from slabcell.recipe import MatchingParameters
 from slabcell.vision.classic import classic_distances, hu_moments
 from slabcell.vision.describe import describe_polygons
-from slabcell.vision.matching import Candidate, assign, find_candidates
+from slabcell.vision.matching import Candidate, MatchLimits, assign, find_candidates
 from slabcell.vision.symmetry import symmetry_order
 
 from .pictures import L_SHAPE, RECTANGLE, SHAPES, moved, recipe
@@ -17,14 +17,8 @@ ORDERS = [1] * len(SHAPES)
 
 
 def candidates(outlines: list[np.ndarray], limit_mm: float = 2.0) -> list[Candidate]:
-    return find_candidates(
-        describe_polygons(outlines),
-        SLOTS,
-        area_tolerance=0.12,
-        limit_mm=np.full(len(SHAPES), limit_mm),
-        margin_mm=0.3,
-        symmetry_order=ORDERS,
-    )
+    limits = MatchLimits(np.full(len(SHAPES), limit_mm), ORDERS, margin_mm=0.3, floor_mm=0.05, area=0.12)
+    return find_candidates(describe_polygons(outlines), SLOTS, limits)
 
 
 @pytest.mark.parametrize("turn_deg", [0, 31, 90, -123.4, 179.9])
@@ -44,7 +38,7 @@ def test_a_mirror_image_has_no_candidate():
 
 def test_a_rectangle_has_both_its_rotations_unless_they_look_alike():
     outline = [np.array(RECTANGLE, float)]
-    turns = sorted(abs(round(item.motion.rotation_deg)) for item in candidates(outline) if item.slot == 1)
+    turns = sorted(round(item.motion.rotation_deg) % 360 for item in candidates(outline) if item.slot == 1)
     assert turns == [0, 180]
 
 

@@ -17,7 +17,8 @@ import shapely
 from slabcell.recipe import PromptableParameters
 from slabcell.vision.blobs import RawBlob, find_blobs
 from slabcell.vision.describe import describe_blobs
-from slabcell.vision.matching import find_candidates
+from slabcell.vision.kernel import engine
+from slabcell.vision.matching import MatchLimits
 from slabcell.vision.prepared import Prepared
 from slabcell.vision.promptable.model import Logits
 
@@ -127,15 +128,14 @@ def _of_a_slot(
         inertia = np.abs(np.log(shapes.inertia[:, None] / slots.inertia))
     alike = (area <= np.log1p(parameters.area_tolerance)) & (inertia <= np.log1p(parameters.inertia_tolerance))
     best = np.full(len(masks), np.inf)
-    for item in find_candidates(
-        shapes,
-        slots,
-        area_tolerance=parameters.area_tolerance,
-        limit_mm=OUTLINE_SHARE * np.sqrt(slots.area_mm2),
-        margin_mm=0.0,
+    limits = MatchLimits(
+        distance_mm=OUTLINE_SHARE * np.sqrt(slots.area_mm2),
         symmetry_order=prepared.orders,
-        allowed=alike,
-    ):
+        margin_mm=0.0,
+        floor_mm=0.1 * prepared.plane.mm_per_px,
+        area=parameters.area_tolerance,
+    )
+    for item in engine().find_candidates(shapes, slots, limits, alike):
         best[item.blob] = min(best[item.blob], item.distance_mm)
     numbers = np.flatnonzero(alike.any(axis=1)).tolist()
     return [masks[index] for index in numbers], [float(best[index]) for index in numbers]

@@ -62,7 +62,7 @@ class PromptableSegmenter:
             f" {len(selection.blobs)} masks kept, left out {selection.wrong} of no slot's area and inertia,"
             f" {selection.unstable} not firm, {selection.repeated} that overlap a better one"
         )
-        return replace(coarse, mask=mask, description=text), kept
+        return replace(coarse, level=None, made=mask, description=text), kept
 
 
 def _explained(blob: RawBlob, shapes: list[Any]) -> float:

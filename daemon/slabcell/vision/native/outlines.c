@@ -1,0 +1,153 @@
+/* How do outlines look on the table, in numbers?  describe.py, outline.py and plane.py are the references. */
+#include "kernel.h"
+
+/* Bilinear in a table of the plane: `grid` (rows, columns, 2) holds the mm at every `pitch`-th pixel. */
+void slabcell_to_plane(const double *grid, int rows, int columns, double pitch, int64_t count, const double *pixels,
+                       double *mm)
+{
+    const double scale = 1.0 / pitch;
+    for (int64_t i = 0; i < count; i++) {
+        const double a = pixels[2 * i] * scale, b = pixels[2 * i + 1] * scale;
+        const double fa = floor(a), fb = floor(b);
+        const int column = fa < 0.0 ? 0 : fa > columns - 2 ? columns - 2 : (int)fa;
+        const int row = fb < 0.0 ? 0 : fb > rows - 2 ? rows - 2 : (int)fb;
+        const double right = a - column, down = b - row;
+        const double *upper = grid + 2 * ((ptrdiff_t)row * columns + column), *lower = upper + 2 * (ptrdiff_t)columns;
+        for (int k = 0; k < 2; k++) {
+            const double first = upper[k] + right * (upper[k + 2] - upper[k]);
+            const double second = lower[k] + right * (lower[k + 2] - lower[k]);
+            mm[2 * i + k] = first + down * (second - first);
+        }
+    }
+}
+
+/* Fast Fourier transform of n = 2^k complex numbers in place; `roots` holds exp(-2πi·j/most), most/2 of them. */
+void slabcell_fft(double *values, int n, const double *roots, int most, int inverse)
+{
+    for (int i = 1, j = 0; i < n; i++) {
+        int bit = n >> 1;
+        for (; j & bit; bit >>= 1)
+            j ^= bit;
+        j |= bit;
+        if (i < j) {
+            const double re = values[2 * i], im = values[2 * i + 1];
+            values[2 * i] = values[2 * j];
+            values[2 * i + 1] = values[2 * j + 1];
+            values[2 * j] = re;
+            values[2 * j + 1] = im;
+        }
+    }
+    const double sign = inverse ? -1.0 : 1.0;
+    for (int half = 1; half < n; half <<= 1) {
+        const int stride = most / (2 * half);
+        for (int start = 0; start < n; start += 2 * half) {
+            double *low = values + 2 * start, *high = low + 2 * half;
+            for (int k = 0; k < half; k++) {
+                const double c = roots[2 * (k * stride)], s = sign * roots[2 * (k * stride) + 1];
+                const double re = c * high[2 * k] - s * high[2 * k + 1], im = c * high[2 * k + 1] + s * high[2 * k];
+                high[2 * k] = low[2 * k] - re;
+                high[2 * k + 1] = low[2 * k + 1] - im;
+                low[2 * k] += re;
+                low[2 * k + 1] += im;
+            }
+        }
+    }
+}
+
+/* Turns a ring counter-clockwise and returns its area; fills centroid and normalised polar inertia. */
+static double measure(double *ring, int64_t count, double *centroid, double *inertia)
+{
+    const double x0 = ring[0], y0 = ring[1];
+    double cross_sum = 0.0, cx = 0.0, cy = 0.0, polar = 0.0;
+    double x = ring[2 * count - 2] - x0, y = ring[2 * count - 1] - y0;
+    for (int64_t i = 0; i < count; i++) {
+        const double xn = ring[2 * i] - x0, yn = ring[2 * i + 1] - y0;
+        const double cross = x * yn - xn * y;
+        cross_sum += cross;
+        cx += (x + xn) * cross;
+        cy += (y + yn) * cross;
+        polar += (x * x + x * xn + xn * xn + y * y + y * yn + yn * yn) * cross;
+        x = xn;
+        y = yn;
+    }
+    const double area = 0.5 * cross_sum;
+    if (fabs(area) < 1e-12) {
+        centroid[0] = x0;
+        centroid[1] = y0;
+        *inertia = INFINITY;
+        return 0.0;
+    }
+    cx /= 6.0 * area;
+    cy /= 6.0 * area;
+    *inertia = fabs(polar / 12.0 - area * (cx * cx + cy * cy)) / (area * area);
+    centroid[0] = cx + x0;
+    centroid[1] = cy + y0;
+    if (area < 0.0)
+        for (int64_t i = 0, j = count - 1; i < j; i++, j--)
+            for (int k = 0; k < 2; k++) {
+                const double swap = ring[2 * i + k];
+                ring[2 * i + k] = ring[2 * j + k];
+                ring[2 * j + k] = swap;
+            }
+    return fabs(area);
+}
+
+/* `count` points at equal distances along a closed ring, from its first point on. */
+static void resample(const double *ring, int64_t points, int count, double *samples)
+{
+    double length = 0.0;
+    for (int64_t i = 0; i < points; i++) {
+        const double *a = ring + 2 * i, *b = i + 1 < points ? a + 2 : ring;
+        length += sqrt((b[0] - a[0]) * (b[0] - a[0]) + (b[1] - a[1]) * (b[1] - a[1]));
+    }
+    double reached = 0.0, passed = 0.0;
+    int64_t i = -1;
+    const double *a = ring, *b = ring;
+    double size = 0.0;
+    for (int k = 0; k < count; k++) {
+        const double at = length * ((double)k / count);
+        while (reached <= at && i + 1 < points) {
+            i++;
+            passed = reached;
+            a = ring + 2 * i;
+            b = i + 1 < points ? a + 2 : ring;
+            size = sqrt((b[0] - a[0]) * (b[0] - a[0]) + (b[1] - a[1]) * (b[1] - a[1]));
+            reached += size;
+        }
+        double share = (at - passed) / fmax(size, 1e-12);
+        share = share < 0.0 ? 0.0 : share > 1.0 ? 1.0 : share;
+        samples[2 * k] = a[0] + share * (b[0] - a[0]);
+        samples[2 * k + 1] = a[1] + share * (b[1] - a[1]);
+    }
+}
+
+/* Of each ring of `points`: `count` samples minus their mean, the mean, area and inertia, and centroid.  The points are
+ * mm, or pixels if there is a `grid`.  `scratch` has room for the longest ring. */
+void slabcell_describe(const double *grid, int rows, int columns, double pitch, int64_t rings, const int64_t *starts,
+                       const double *points, int count, double *scratch, double *samples, double *middles, double *areas,
+                       double *inertias, double *centroids)
+{
+    for (int64_t r = 0; r < rings; r++) {
+        double *mine = samples + 2 * (ptrdiff_t)count * r;
+        const int64_t size = starts[r + 1] - starts[r];
+        if (grid)
+            slabcell_to_plane(grid, rows, columns, pitch, size, points + 2 * starts[r], scratch);
+        else
+            memcpy(scratch, points + 2 * starts[r], (size_t)(2 * size) * sizeof(double));
+        areas[r] = measure(scratch, size, centroids + 2 * r, inertias + r);
+        resample(scratch, size, count, mine);
+        double x = 0.0, y = 0.0;
+        for (int k = 0; k < count; k++) {
+            x += mine[2 * k];
+            y += mine[2 * k + 1];
+        }
+        x /= count;
+        y /= count;
+        for (int k = 0; k < count; k++) {
+            mine[2 * k] -= x;
+            mine[2 * k + 1] -= y;
+        }
+        middles[2 * r] = x;
+        middles[2 * r + 1] = y;
+    }
+}

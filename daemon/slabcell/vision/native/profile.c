@@ -1,0 +1,293 @@
+/* Where does the edge run, beside where it was expected?  edge_profile.py is the reference, and explains the model.
+ *
+ * This file includes profile_pixels.h once for each type of pixel.
+ */
+#include "kernel.h"
+
+#define BINS_PER_PX 4
+#define MAX_BINS 256
+#define LANES 8
+#define COLUMNS 7
+enum { IN, OUT, ON_WALL, STEP, SLOPE_IN, SLOPE_OUT, WIDTH };
+#define ITERATIONS 5
+#define WIDE_WALL_PX 14.0
+/* A piece bends away from its chord by at most this. */
+#define MAX_SAG_PX 3.0
+#define CONVERGED_PX 0.08
+#define CONVERGED_BLUR 0.02
+/* Bins this many widths of the blur from the edge show its two sides alone. */
+#define BESIDE 2.0
+
+/* Places among the bins are fixed point numbers; a bin counts up to 2^COUNT_BITS pixels. */
+#define FIXED_BITS 32
+#define FIXED 4294967296.0
+#define COUNT_BITS 10
+#define MAX_HALF_PX 250.0
+
+/* Density and integral of the normal distribution at n places, n a multiple of LANES.  In loops of their own, each of
+ * which the compiler turns into vector instructions where there are any. */
+static void normal_distribution(int n, const double *restrict table, const double *restrict x, double *restrict density,
+                                double *restrict integral)
+{
+    const double limit = TABLE_REACH - 1e-9;
+    double h[MAX_BINS], node[MAX_BINS];
+    int32_t index[MAX_BINS];
+    for (int i = 0; i < n; i++) {
+        double at = x[i] < -limit ? -limit : x[i];
+        at = at > limit ? limit : at;
+        index[i] = (int32_t)((at + TABLE_REACH) * TABLE_STEPS + 0.5);
+        node[i] = index[i] * (1.0 / TABLE_STEPS) - TABLE_REACH;
+        h[i] = at - node[i];
+    }
+    for (int i = 0; i < n; i++) {
+        density[i] = table[2 * index[i]];
+        integral[i] = table[2 * index[i] + 1];
+    }
+    /* Taylor about the nearest node; the remainder is below 1e-9. */
+    for (int i = 0; i < n; i++) {
+        const double f = density[i], bent = node[i] * node[i] - 1.0;
+        density[i] = f * (1.0 - node[i] * h[i] + 0.5 * bent * h[i] * h[i]);
+        integral[i] += f * h[i] * (1.0 - 0.5 * node[i] * h[i] + bent * h[i] * h[i] * (1.0 / 6.0));
+    }
+}
+
+/* Solves a symmetric positive definite system in place; `inverse_at` gives one diagonal element of the inverse. */
+static int solve(int n, double a[COLUMNS][COLUMNS], double b[COLUMNS], int inverse_at, double *inverse)
+{
+    double unit[COLUMNS] = {0}, diagonal[COLUMNS];
+    unit[inverse_at] = 1.0;
+    for (int i = 0; i < n; i++) {
+        for (int j = 0; j <= i; j++) {
+            double sum = a[i][j];
+            for (int k = 0; k < j; k++)
+                sum -= a[i][k] * a[j][k];
+            if (i == j) {
+                if (!(sum > 0.0))
+                    return 0;
+                diagonal[i] = 1.0 / sqrt(sum);
+            } else {
+                a[i][j] = sum * diagonal[j];
+            }
+        }
+    }
+    double norm = 0.0;
+    for (int i = 0; i < n; i++) {
+        double sum = b[i], other = unit[i];
+        for (int k = 0; k < i; k++) {
+            sum -= a[i][k] * b[k];
+            other -= a[i][k] * unit[k];
+        }
+        b[i] = sum * diagonal[i];
+        unit[i] = other * diagonal[i];
+        norm += unit[i] * unit[i];
+    }
+    *inverse = norm;
+    for (int i = n - 1; i >= 0; i--) {
+        double sum = b[i];
+        for (int k = i + 1; k < n; k++)
+            sum -= a[k][i] * b[k];
+        b[i] = sum * diagonal[i];
+    }
+    return 1;
+}
+
+/* The mean level at one end of the profile, whose bins are sorted by depth. */
+static double mean_beyond(int n, const double *count, const double *depth, const double *level, double limit, int below)
+{
+    double weight = 0.0, sum = 0.0;
+    for (int k = 0; k < n; k++) {
+        const int i = below ? k : n - 1 - k;
+        if (below ? !(depth[i] < limit) : !(depth[i] > limit))
+            break;
+        weight += count[i];
+        sum += count[i] * level[i];
+    }
+    return sum / fmax(weight, 1.0);
+}
+
+/* Where a sharp step would enclose the same light. */
+static double starting_shift(int n, const double *count, const double *depth, const double *level, double inside,
+                             double outside, double wall_light, double reach)
+{
+    double contrast = inside - outside, pixels = 0.0, deepest = 0.0, share = 0.0;
+    if (fabs(contrast) < 1.0)
+        contrast = 1.0;
+    for (int i = 0; i < n; i++) {
+        pixels += count[i];
+        share += count[i] * (level[i] - outside) / contrast;
+        deepest = fmax(deepest, -depth[i]);
+    }
+    share /= fmax(pixels, 1.0);
+    return fmin(fmax(share * (deepest + reach) - reach - wall_light, 3.0 - reach), reach - 3.0);
+}
+
+/* Fits the model to one profile of `filled` bins that hold pixels; the arrays have room up to a multiple of LANES. */
+static void fit(int filled, double *restrict count, double *restrict depth, double *restrict level, double wall,
+                double wall_ratio, const Model *restrict model, const double *restrict table, double *restrict result)
+{
+    const double reach = model->reach;
+    const int wide = wall > WIDE_WALL_PX, blurred = model->fit_blur > 0.5;
+    const double strip = wide ? 0.0 : wall, outer = wide ? WIDE_WALL_PX - 2.0 : wall + reach;
+    const int with_wall = strip > 0.0;
+    double column[COLUMNS][MAX_BINS], weight[MAX_BINS], error[MAX_BINS], place[MAX_BINS], bell[MAX_BINS];
+    double s = model->sigma, pixels = 0.0;
+
+    double inside = mean_beyond(filled, count, depth, level, reach - 2.0, 0);
+    double outside = mean_beyond(filled, count, depth, level, -(outer - 2.0), 1);
+    double grey_of_wall = wall_ratio * inside;
+    double step = 0.0;
+    if (!(model->near > 0.5)) {
+        double contrast = inside - outside;
+        if (fabs(contrast) < 1.0)
+            contrast = 1.0;
+        const double lit = strip * fmin(fmax((grey_of_wall - outside) / contrast, 0.0), 1.0);
+        step = starting_shift(filled, count, depth, level, inside, outside, lit, reach);
+    }
+    /* Empty bins fill up the last vector. */
+    const int n = (filled + LANES - 1) / LANES * LANES;
+    for (int i = filled; i < n; i++) {
+        count[i] = level[i] = 0.0;
+        depth[i] = depth[filled - 1];
+    }
+    for (int i = 0; i < n; i++)
+        pixels += count[i];
+    /* The columns in use, side by side. */
+    int used[COLUMNS], columns = 0, at_step = 0;
+    for (int p = 0; p < COLUMNS; p++) {
+        if ((p == ON_WALL && !with_wall) || (p == WIDTH && !blurred))
+            continue;
+        if (p == STEP)
+            at_step = columns;
+        used[columns++] = p;
+    }
+    double scatter = 0.0, spread = 1e6;
+    for (int iteration = 0; iteration < ITERATIONS; iteration++) {
+        const double per_s = 1.0 / s, taper = 1.0 / model->grain_reach, contrast = inside - outside;
+        const double noise = model->noise, grainy = model->grain_inside, grainy_outside = model->grain_outside;
+        double *restrict upper = column[IN], *restrict lower = column[OUT];
+        for (int i = 0; i < n; i++)
+            place[i] = (depth[i] + step) * per_s;
+        normal_distribution(n, table, place, bell, upper);
+        for (int i = 0; i < n; i++) {
+            const double away = depth[i] + step, up = upper[i], low = 1.0 - up, beyond = -away - strip;
+            lower[i] = low;
+            column[STEP][i] = contrast * bell[i] * per_s;
+            column[SLOPE_IN][i] = depth[i] * up;
+            column[SLOPE_OUT][i] = depth[i] * low;
+            const double outwards = beyond > 0.0 ? beyond : 0.0;
+            const double from = (away > 0.0 ? away : outwards) * taper, square = from * from;
+            weight[i] = count[i] / (noise + (grainy * up * up + grainy_outside * low * low) * (1.0 + square * square));
+        }
+        if (blurred)
+            for (int i = 0; i < n; i++)
+                column[WIDTH][i] = -contrast * bell[i] * place[i] * per_s;
+        if (with_wall) {
+            double both[MAX_BINS], far[MAX_BINS], beyond[MAX_BINS];
+            for (int i = 0; i < n; i++)
+                beyond[i] = place[i] + strip * per_s;
+            normal_distribution(n, table, beyond, far, both);
+            for (int i = 0; i < n; i++) {
+                const double first = (inside - grey_of_wall) * bell[i], second = (grey_of_wall - outside) * far[i];
+                lower[i] = 1.0 - both[i];
+                column[ON_WALL][i] = both[i] - upper[i];
+                column[STEP][i] = (first + second) * per_s;
+                column[SLOPE_OUT][i] = depth[i] * (1.0 - both[i]);
+                column[WIDTH][i] = -(first * place[i] + second * beyond[i]) * per_s;
+            }
+        }
+        double normal[COLUMNS][COLUMNS], right[COLUMNS];
+        for (int p = 0; p < columns; p++) {
+            const double *mine = column[used[p]];
+            double weighted[MAX_BINS], sum = 0.0;
+            for (int i = 0; i < n; i++) {
+                weighted[i] = weight[i] * mine[i];
+                sum += weighted[i] * level[i];
+            }
+            right[p] = sum;
+            for (int q = 0; q <= p; q++) {
+                const double *other = column[used[q]];
+                double product = 0.0;
+                for (int i = 0; i < n; i++)
+                    product += weighted[i] * other[i];
+                normal[p][q] = product;
+            }
+            normal[p][p] += 1e-6;
+        }
+        /* A flat profile says nothing about the step: hold it. */
+        normal[at_step][at_step] += 1e-3 / model->noise;
+        if (blurred)
+            normal[columns - 1][columns - 1] += 1e-3 / model->noise;
+        if (with_wall) {
+            /* What is known of the wall: its grey is wall_ratio times that of the upper face. */
+            const double expected = model->wall_ratio_sigma * inside;
+            const double known = fmax(scatter, 1.0 / model->noise) / fmax(expected * expected, 1.0);
+            normal[ON_WALL][ON_WALL] += known;
+            normal[IN][IN] += known * wall_ratio * wall_ratio;
+            normal[ON_WALL][IN] -= known * wall_ratio;
+        }
+        if (!solve(columns, normal, right, at_step, &spread)) {
+            memset(result, 0, RESULT_FIELDS * sizeof(double));
+            return;
+        }
+        memcpy(error, level, (size_t)n * sizeof(double));
+        for (int p = 0; p < columns; p++) {
+            const double *mine = column[used[p]], factor = right[p];
+            for (int i = 0; i < n; i++)
+                error[i] -= factor * mine[i];
+        }
+        double square = 0.0;
+        for (int i = 0; i < n; i++)
+            square += weight[i] * error[i] * error[i];
+        scatter = square / fmax(filled - columns, 1);
+        inside = right[IN];
+        outside = right[OUT];
+        grey_of_wall = with_wall ? right[ON_WALL] : wall_ratio * inside;
+        const double change = fmin(fmax(right[at_step], -1.5), 1.5);
+        double wider = 0.0;
+        if (blurred) {
+            wider = fmin(fmax(right[columns - 1] / s, -0.3), 0.3);
+            s = fmin(fmax(s * (1.0 + wider), 0.3), 4.0);
+        }
+        step = fmin(fmax(step + change, -reach), reach);
+        if (fabs(change) < CONVERGED_PX && fabs(wider) < CONVERGED_BLUR)
+            break;
+    }
+    double sums[2] = {0}, bins[2] = {0};
+    for (int i = 0; i < filled; i++) {
+        const double away = depth[i] + step;
+        const int side = away > 0.0 ? 0 : 1;
+        if ((side ? -away - strip : away) > BESIDE * s) {
+            sums[side] += count[i] * error[i] * error[i];
+            bins[side] += 1.0;
+        }
+    }
+    const double sigma = sqrt(fmax(spread * fmax(scatter, model->least_scatter), 1e-12));
+    const double edge = fabs(inside - (strip > 2.0 * s ? grey_of_wall : outside));
+    result[SHIFT] = step;
+    result[SIGMA] = sigma;
+    result[INSIDE] = inside;
+    result[OUTSIDE] = outside;
+    result[WALL_LEVEL] = grey_of_wall;
+    result[VALID] = pixels >= 40 && sigma < 0.5 && fabs(step) < reach - 2.0 * s
+                    && edge > fmax(4.0, 0.02 * fabs(inside));
+    result[SCATTER] = scatter;
+    result[SCATTER_INSIDE] = sums[0] / fmax(bins[0] - 2.0, 1.0);
+    result[SCATTER_OUTSIDE] = sums[1] / fmax(bins[1] - 2.0, 1.0);
+    result[BLUR] = s;
+}
+
+/* Bits of the sum of levels, and below the point of a place: what 64 bits have room for. */
+#define PIXEL uint8_t
+#define NAME(x) x##_u8
+#define LEVEL_BITS 18
+#define PLACE_BITS 18
+#include "profile_pixels.h"
+#undef PIXEL
+#undef NAME
+#undef LEVEL_BITS
+#undef PLACE_BITS
+#define PIXEL uint16_t
+#define NAME(x) x##_u16
+#define LEVEL_BITS 26
+#define PLACE_BITS 10
+#include "profile_pixels.h"

@@ -1,0 +1,96 @@
+/* Included by profile.c for each PIXEL type: sorts the pixels near a piece of edge into bins, and fits their profile. */
+
+static void NAME(measure_one)(const PIXEL *image, ptrdiff_t stride, int width, int height, const double *line,
+                              const Model *model, const double *table, double *result)
+{
+    const double reach = model->reach, half = line[LINE_HALF], bend = line[LINE_BEND], wall = line[LINE_WALL];
+    const double outer = wall > WIDE_WALL_PX ? WIDE_WALL_PX - 2.0 : wall + reach;
+    memset(result, 0, RESULT_FIELDS * sizeof(double));
+    if (!(wall >= 0.0) || !(outer < 1e3) || !(half > 0.0) || !(half <= MAX_HALF_PX) || !(fabs(bend) < 1.0))
+        return;
+    /* Which pixels belong to the piece is said by its chord; the bins have room for how far it bends away from that. */
+    const double sag = bend * half * half;
+    if (!(fabs(sag) <= MAX_SAG_PX))
+        return;
+    const double lowest = ceil(outer) + MAX_SAG_PX + 1.0;
+    const int bins = (int)ceil((lowest + reach + MAX_SAG_PX + 1.0) * BINS_PER_PX) + 1;
+    if (bins > MAX_BINS)
+        return;
+    /* Of each bin one number: how many pixels, the sum of their levels, and the sum of their places among the bins. */
+    uint64_t sums[MAX_BINS];
+    memset(sums, 0, (size_t)bins * sizeof(uint64_t));
+    /* Scan along the axis that the edge follows more closely. */
+    const int along_u = fabs(line[LINE_NORMAL_V]) >= fabs(line[LINE_NORMAL_U]);
+    const double t_major = along_u ? -line[LINE_NORMAL_V] : line[LINE_NORMAL_U];
+    const double t_minor = along_u ? line[LINE_NORMAL_U] : -line[LINE_NORMAL_V];
+    const double n_major = along_u ? line[LINE_NORMAL_U] : line[LINE_NORMAL_V];
+    const double n_minor = along_u ? line[LINE_NORMAL_V] : line[LINE_NORMAL_U];
+    const double mid_major = along_u ? line[LINE_U] : line[LINE_V], mid_minor = along_u ? line[LINE_V] : line[LINE_U];
+    const int size_major = along_u ? width : height, size_minor = along_u ? height : width;
+    const ptrdiff_t next = along_u ? stride : 1, next_major = along_u ? 1 : stride;
+    const double extent = half * fabs(t_major) + fmax(outer, reach) * fabs(n_major);
+    const double norm = n_major * n_major + n_minor * n_minor;
+    if (!(fabs(mid_major) < 1e6) || !(fabs(mid_minor) < 1e6) || !(fabs(norm - 1.0) < 1e-6))
+        return;
+    int first = (int)ceil(mid_major - extent), last = (int)floor(mid_major + extent);
+    first = first < 0 ? 0 : first;
+    last = last > size_major - 1 ? size_major - 1 : last;
+    /* A scan line crosses the strip from `low` to `high`, and the piece's length where that is aslant to it. */
+    const double per_n = 1.0 / n_minor, side = n_minor > 0.0 ? 1.0 : -1.0;
+    const int aslant = fabs(t_minor) > 1e-12;
+    const double per_t = aslant ? 1.0 / t_minor : 0.0, length = aslant ? half * fabs(per_t) : INFINITY;
+    const int64_t bending = (int64_t)(2.0 * bend * t_minor * t_minor * BINS_PER_PX * FIXED);
+    for (int a = first; a <= last; a++) {
+        const double da = a - mid_major, centre = -da * n_major * per_n, middle = -da * t_major * per_t;
+        double low = centre - (side > 0.0 ? reach : outer) * fabs(per_n);
+        double high = centre + (side > 0.0 ? outer : reach) * fabs(per_n);
+        if (aslant) {
+            low = low > middle - length ? low : middle - length;
+            high = high < middle + length ? high : middle + length;
+        } else if (fabs(da * t_major) > half) {
+            continue;
+        }
+        low = low + mid_minor > 0.0 ? low + mid_minor : 0.0;
+        high = high + mid_minor < size_minor - 1.0 ? high + mid_minor : size_minor - 1.0;
+        if (!(low <= high))
+            continue;
+        const int begin = (int)ceil(low), end = (int)floor(high);
+        const PIXEL *pixel = image + a * next_major + begin * next;
+        /* The place is quadratic along the line: two additions of fixed point numbers lead from pixel to pixel. */
+        const double db = begin - mid_minor, t = da * t_major + db * t_minor;
+        const double place = (lowest - da * n_major - db * n_minor + bend * t * t) * BINS_PER_PX;
+        const double step = (bend * t_minor * (2.0 * t + t_minor) - n_minor) * BINS_PER_PX;
+        int64_t at = (int64_t)(place * FIXED), change = (int64_t)(step * FIXED);
+        for (int b = begin; b <= end; b++, pixel += next) {
+            sums[at >> FIXED_BITS] += 1 + ((uint64_t)*pixel << COUNT_BITS)
+                                      + ((uint64_t)(at >> (FIXED_BITS - PLACE_BITS)) << (COUNT_BITS + LEVEL_BITS));
+            at += change;
+            change += bending;
+        }
+    }
+    double count[MAX_BINS], depths[MAX_BINS], levels[MAX_BINS];
+    int filled = 0;
+    for (int bin = 0; bin < bins; bin++)
+        if (sums[bin]) {
+            const double number = (double)(int64_t)(sums[bin] & (((uint64_t)1 << COUNT_BITS) - 1));
+            const double level = (double)(int64_t)(sums[bin] >> COUNT_BITS & (((uint64_t)1 << LEVEL_BITS) - 1));
+            /* What was cut off below the last bit is half of it on the average. */
+            const double place = (double)(int64_t)(sums[bin] >> (COUNT_BITS + LEVEL_BITS)) + 0.5 * number;
+            const double share = 1.0 / number;
+            depths[filled] = place * share * (1.0 / BINS_PER_PX / ((int64_t)1 << PLACE_BITS)) - lowest;
+            levels[filled] = level * share;
+            count[filled] = number;
+            filled++;
+        }
+    const double lit = model->wall_ratio + model->wall_light_u * line[LINE_NORMAL_U] + model->wall_light_v * line[LINE_NORMAL_V];
+    if (filled > COLUMNS)
+        fit(filled, count, depths, levels, wall, fmin(fmax(lit, 0.0), 1.5), model, table, result);
+}
+
+void NAME(slabcell_measure_edges)(const PIXEL *image, ptrdiff_t stride, int width, int height, int pieces,
+                                  const double *lines, const Model *model, const double *table, double *results)
+{
+    for (int i = 0; i < pieces; i++)
+        NAME(measure_one)(image, stride, width, height, lines + LINE_FIELDS * (ptrdiff_t)i, model, table,
+                          results + RESULT_FIELDS * (ptrdiff_t)i);
+}
