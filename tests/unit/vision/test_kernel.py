@@ -113,7 +113,7 @@ def test_the_kernel_gives_the_numbers_of_the_reference(model: ProfileModel, top:
     # Whether a bin at the limit of a side counts is a matter of the last digit.
     assert found.scatter_inside[both] == pytest.approx(reference.scatter_inside[both], rel=0.1, abs=1e-3)
     assert found.scatter_outside[both] == pytest.approx(reference.scatter_outside[both], rel=0.1, abs=1e-3)
-    assert found.blur[both] == pytest.approx(reference.blur[both], abs=1e-4)
+    assert found.blur[both] == pytest.approx(reference.blur[both], abs=1e-4 if top == 1 else 1e-3)
 
 
 @compiled
