@@ -57,14 +57,13 @@ def activate_command(
     Refused with exit code 78 if it does not pass its graded set, and with 75 while a job is open.
     """
     done = verify(recipe, tolerance_mm=mm, tolerance_deg=deg)
-    written = activate(recipe, config, done, socket=socket)
-    _tell(done, as_json=as_json, written=written)
+    _tell(done, as_json=as_json, activated=activate(recipe, config, done, socket=socket))
 
 
-def _tell(done: Verification, *, as_json: bool, written: Path | None = None) -> None:
+def _tell(done: Verification, *, as_json: bool, activated: str = "") -> None:
     if as_json:
         document = {"schema": "slabcell.recipe-verification/1", **asdict(done), "passed": done.passed}
-        typer.echo(json.dumps({**document, "written": str(written) if written else None}))
+        typer.echo(json.dumps({**document, "activated": activated or None}))
         return
     for item in done.pictures:
         typer.echo(f"{'✗' if item.problems else '✓'} {item.bundle}")
@@ -73,5 +72,5 @@ def _tell(done: Verification, *, as_json: bool, written: Path | None = None) -> 
     if not done.pictures:
         typer.echo("no graded set: `slabcell recipe grade` makes one of bundles")
     typer.echo(f"{done.recipe}: {'passed' if done.passed else 'not passed'}, sha256 {done.sha256}")
-    if written is not None:
-        typer.echo(f"active from the next start on: {written}; systemctl restart slabcell")
+    if activated:
+        typer.echo(activated)

@@ -16,7 +16,7 @@ from typing import Final, cast
 
 from slabcell.catalogue import Fault
 from slabcell.errors import RecipeError, SlabcellError
-from slabcell.recipe import Recipe, load_recipe
+from slabcell.recipe import load_recipe
 
 __all__ = ["RecipeEntry", "RecipeShelf"]
 
@@ -78,13 +78,13 @@ class RecipeShelf:
             return RecipeEntry(path.stem, digest, 0, "", str(error))
         return RecipeEntry(path.stem, digest, len(recipe.template.slots), recipe.template.sha256, "")
 
-    def load(self, name: str) -> Recipe:
-        """Return a recipe by its name.  Raises RecipeError or TemplateError."""
+    def path_of(self, name: str) -> Path:
+        """Return the file of a recipe by its name.  Raises RecipeError."""
         path = self._configured.with_name(f"{name}.toml")
         if Path(name).name != name or not path.is_file():
             msg = f"there is no recipe {name!r:.60} in {self._configured.parent}"
             raise RecipeError(msg, number=Fault.RECIPE_MISSING)
-        return load_recipe(path)
+        return path
 
     def choose(self, name: str) -> None:
         """Have a recipe be the active one from the next start on.  Raises RecipeError."""

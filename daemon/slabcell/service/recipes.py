@@ -2,29 +2,30 @@
 
 The graded set of ``NAME.toml`` is the folder ``NAME.graded`` beside it: bundles of cycles that a person has looked at
 and found right.  Each is run again with the recipe, and every slab has to come out in the same slot within the
-tolerances.  The active recipe is a drop-in of the configuration, with the sum of what was verified; it changes only
-between jobs.
+tolerances.  The choice is the state directory's (`active_recipe`); it changes only between jobs.
 """
 
 from __future__ import annotations
 
 import hashlib
-import json
-import os
 import shutil
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
+from urllib.parse import quote
 
 from slabcell.cell.bundle_file import read_bundle
 from slabcell.cell.replay import replay
-from slabcell.errors import RecipeError, SlabcellError, TemporaryError, UnavailableError
+from slabcell.errors import RecipeError, UnavailableError
 from slabcell.recipe import load_recipe
+from slabcell.service.active_recipe import RecipeShelf
 from slabcell.service.api.client import ApiClient
+from slabcell.service.config_layers import load_config
+from slabcell.service.devices import state_directory
 
 __all__ = ["Graded", "Verification", "activate", "add_graded", "recipe_sha256", "verify"]
 
-DROP_IN = "50-recipe.toml"
+# A daemon runs the graded set once more before it changes.
+ACTIVATION_S = 120.0
 DEFAULT_MM, DEFAULT_DEG = 0.2, 0.2
 
 
@@ -48,6 +49,13 @@ class Verification:
     def passed(self) -> bool:
         """Whether every picture came out as it was graded."""
         return not any(item.problems for item in self.pictures)
+
+    def require(self) -> None:
+        """Raise RecipeError unless every picture came out as it was graded."""
+        if not self.passed:
+            failed = ", ".join(item.bundle for item in self.pictures if item.problems)
+            msg = f"recipe {self.recipe} does not pass its graded set ({failed}): correct it, or the set if it is wrong"
+            raise RecipeError(msg)
 
 
 def recipe_sha256(path: Path) -> str:
@@ -93,51 +101,27 @@ def add_graded(path: Path, bundles: list[Path]) -> list[Path]:
     return [Path(shutil.copy2(file, folder / file.name)) for file in bundles]
 
 
-def activate(path: Path, config: Path, done: Verification, *, socket: Path | None = None) -> Path:
-    """Make a verified recipe the one that the cell works with from its next start on; return the drop-in written.
+def activate(path: Path, config: Path, done: Verification, *, socket: Path | None = None) -> str:
+    """Make a verified recipe the one that the cell works with, also after a restart; return what was done.
 
-    Raises RecipeError if the set was not passed or the recipe has changed since, and TemporaryError while a job is
-    open.
+    A running daemon is asked, which changes between jobs only; else the choice is written where it will look for it.
+    Raises RecipeError if the set was not passed, the recipe has changed since or lies elsewhere than the recipe of the
+    configuration, and TemporaryError while a job is open.
     """
-    if not done.passed:
-        failed = ", ".join(item.bundle for item in done.pictures if item.problems)
-        msg = f"{path}: does not pass its graded set ({failed}); correct the recipe, or the set if it is wrong"
-        raise RecipeError(msg)
+    done.require()
     if recipe_sha256(path) != done.sha256:
         msg = f"{path}: has changed since it was verified; verify it again"
         raise RecipeError(msg)
-    job = _open_job(socket)
-    if job is not None:
-        msg = f"job {job} is open: a recipe changes only between jobs; finish or abandon it first"
-        raise TemporaryError(msg)
-    target = config.with_name(f"{config.name}.d") / DROP_IN
-    now = datetime.now(UTC).isoformat(timespec="seconds")
-    text = (
-        "# Written by `slabcell recipe activate`: the recipe that the cell works with.\n"
-        f"# verified {now}, {len(done.pictures)} graded pictures, sha256 {done.sha256}\n"
-        f"recipe = {json.dumps(str(path.resolve()))}\n"
-    )
+    settings = load_config(config)
+    if path.resolve().parent != settings.recipe.resolve().parent:
+        msg = f"{path}: the cell's recipes lie in {settings.recipe.parent}: copy it there with its template and set"
+        raise RecipeError(msg)
+    client = ApiClient(socket, timeout_s=ACTIVATION_S)
     try:
-        target.parent.mkdir(exist_ok=True)
-        temporary = target.with_suffix(".part")
-        with temporary.open("w", encoding="utf-8") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-        temporary.replace(target)
-    except OSError as error:
-        msg = f"{target}: cannot be written: {error.strerror}; the active recipe is as before"
-        raise SlabcellError(msg) from error
-    return target
-
-
-def _open_job(socket: Path | None) -> int | None:
-    """Return the job that is open in the running cell; None if none is, or no cell runs."""
-    try:
-        job = ApiClient(socket, timeout_s=5.0).get("/v1/status")["job"]
-    except UnavailableError:
-        return None
-    return int(job["job_id"]) if job is not None and job["state"] == "open" else None
+        return str(client.post(f"/v1/recipes/{quote(path.stem, safe='')}/activate")["detail"])
+    except UnavailableError:  # no daemon runs: it will find the choice when it starts
+        RecipeShelf(settings.recipe, state_directory(settings.state_directory)).choose(path.stem)
+        return f"recipe {path.stem} is active from the next start on"
 
 
 def _folder(path: Path) -> Path:

@@ -104,8 +104,8 @@ def segment(
         if grey.dtype == np.uint8:
             light = _slabs_are_light(picture, threshold + 0.5, parameters.polarity)
             return _finish(Segmentation(text, picture, contrast, min(threshold + 0.5, NOTHING), light), parameters)
-        above = np.zeros(grey.shape, np.uint8)
-        above[grey > threshold] = 255
+        lighter: npt.NDArray[np.bool_] = np.greater(grey, threshold)
+        above: Mask = np.asarray(np.uint8(255) * lighter.astype(np.uint8), np.uint8)
         light = _slabs_are_light(above, 127.0, parameters.polarity)
         return _finish(Segmentation(text, picture, contrast, light=light, made=_side(above, light=light)), parameters)
     needed = max(MIN_CONTRAST, MIN_CONTRAST_SIGMA * surveyed.noise)

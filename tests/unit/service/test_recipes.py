@@ -15,11 +15,11 @@ from slabcell.cell.cell import Cell
 from slabcell.cell.ledger import Ledger
 from slabcell.cell.settings import CellSettings
 from slabcell.cli.recipe import recipe_app
-from slabcell.errors import RecipeError, TemporaryError
+from slabcell.errors import RecipeError
 from slabcell.geometry import Polygon
 from slabcell.recipe import load_recipe
 from slabcell.service import recipes
-from slabcell.service.config_layers import load_config
+from slabcell.service.active_recipe import RecipeShelf
 from slabcell_drivers.camera.protocol import CameraInfo
 from slabcell_drivers.camera.simulated import SimulatedCamera
 from slabcell_drivers.robot.arm import KR3_R540
@@ -97,9 +97,11 @@ def test_a_recipe_that_finds_the_graded_slabs_again_becomes_active(recipe, bundl
     document = json.loads(run("verify", recipe, "--json"))
     assert document["passed"]
     assert [item["problems"] for item in document["pictures"]] == [[]]
-    run("activate", recipe, "--config", tmp_path / "cell.toml")
-    assert load_config(tmp_path / "cell.toml").recipe == recipe.resolve()
-    assert document["sha256"] in (tmp_path / "cell.toml.d" / "50-recipe.toml").read_text()
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
+    other = recipe.with_name("irregular.toml")
+    assert RecipeShelf(other, tmp_path).active == other
+    assert "from the next start on" in run("activate", recipe, "--config", tmp_path / "cell.toml")
+    assert RecipeShelf(other, tmp_path).active == recipe
 
 
 def test_a_recipe_that_does_not_find_them_is_refused_and_the_active_one_stays(recipe, bundle, tmp_path):
@@ -110,7 +112,7 @@ def test_a_recipe_that_does_not_find_them_is_refused_and_the_active_one_stays(re
     with pytest.raises(RecipeError, match="does not pass its graded set") as caught:
         recipes.activate(recipe, tmp_path / "cell.toml", recipes.verify(recipe))
     assert caught.value.exit_code == 78
-    assert not (tmp_path / "cell.toml.d").exists()
+    assert not (tmp_path / "active-recipe.json").exists()
 
 
 def test_a_recipe_that_was_changed_after_it_was_verified_is_refused(recipe, bundle, tmp_path):
@@ -145,10 +147,8 @@ def test_a_recipe_without_a_set_passes_and_says_so(recipe):
     assert "no graded set" in run("verify", recipe)
 
 
-def test_while_a_job_is_open_the_recipe_stays(recipe, tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        recipes.ApiClient, "get", lambda *_, **__: {"job": {"job_id": 7, "state": "open"}}, raising=True
-    )
-    with pytest.raises(TemporaryError, match="job 7 is open"):
-        recipes.activate(recipe, tmp_path / "cell.toml", recipes.verify(recipe))
-    assert not (tmp_path / "cell.toml.d").exists()
+def test_a_recipe_that_lies_elsewhere_is_refused_with_the_folder_it_belongs_to(recipe, tmp_path):
+    elsewhere = shutil.copytree(recipe.parent, tmp_path / "elsewhere" / "recipes") / recipe.name
+    shutil.copytree(recipe.parents[1] / "templates", tmp_path / "elsewhere" / "templates")
+    with pytest.raises(RecipeError, match="copy it there"):
+        recipes.activate(elsewhere, tmp_path / "cell.toml", recipes.verify(elsewhere))

@@ -271,6 +271,12 @@ async def test_a_recipe_is_activated_between_jobs_for_restarts_too(api, client, 
         with pytest.raises(SlabcellError):
             await asyncio.to_thread(client.post, f"/v1/recipes/{name}/activate")
     assert api.cell.recipe.name == "dresden"
+    graded = tmp_path / "recipes" / "irregular.graded"
+    graded.mkdir()
+    (graded / "damaged.zip").write_bytes(b"no bundle")
+    with pytest.raises(SlabcellError, match=r"damaged\.zip"):
+        await asyncio.to_thread(client.post, "/v1/recipes/irregular/activate")
+    assert api.cell.recipe.name == "dresden"
     (tmp_path / "recipes" / "dresden.toml").unlink()
     with pytest.raises(RecipeError, match="which is not there"):
         _ = shelf.active

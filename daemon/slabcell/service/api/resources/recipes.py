@@ -9,11 +9,13 @@ from pydantic import Field
 
 from slabcell.calibration.file import to_document
 from slabcell.cell.bundle import recipe_document
-from slabcell.errors import RecipeError
+from slabcell.errors import SlabcellError
+from slabcell.recipe import load_recipe
 from slabcell.service.api.context import ApiContext
 from slabcell.service.api.documents import Document, Done
 from slabcell.service.api.endpoint import Call, Endpoint
 from slabcell.service.api.problems import ProblemError
+from slabcell.service.recipes import verify
 
 __all__ = ["ENDPOINTS"]
 
@@ -79,12 +81,17 @@ async def _activate(call: Call[ApiContext]) -> Done:
     if shelf is None:
         raise ProblemError(404, "this daemon has no folder of recipes")
     try:
-        recipe = await asyncio.to_thread(shelf.load, name)
-    except RecipeError as error:
+        path = await asyncio.to_thread(shelf.path_of, name)
+        recipe = await asyncio.to_thread(load_recipe, path)
+        done = await asyncio.to_thread(verify, path)
+        done.require()
+    except SlabcellError as error:
         raise ProblemError(422, str(error), number=error.number) from error
     await call.context.cell.change(recipe=recipe)
     await asyncio.to_thread(shelf.choose, name)
-    return Done(detail=f"recipe {name} with {len(recipe.template.slots)} slots is active, for restarts too")
+    found = f"{len(done.pictures)} graded pictures found again" if done.pictures else "no graded set to pass"
+    slots = len(recipe.template.slots)
+    return Done(detail=f"recipe {name} with {slots} slots is active, for restarts too; {found}")
 
 
 async def _calibration(call: Call[ApiContext]) -> CalibrationDocument:
