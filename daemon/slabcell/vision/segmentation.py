@@ -104,8 +104,7 @@ def segment(
         if grey.dtype == np.uint8:
             light = _slabs_are_light(picture, threshold + 0.5, parameters.polarity)
             return _finish(Segmentation(text, picture, contrast, min(threshold + 0.5, NOTHING), light), parameters)
-        lighter: npt.NDArray[np.bool_] = np.greater(grey, threshold)
-        above: Mask = np.asarray(np.uint8(255) * lighter.astype(np.uint8), np.uint8)
+        above = (grey > threshold).astype(np.uint8) * np.uint8(255)
         light = _slabs_are_light(above, 127.0, parameters.polarity)
         return _finish(Segmentation(text, picture, contrast, light=light, made=_side(above, light=light)), parameters)
     needed = max(MIN_CONTRAST, MIN_CONTRAST_SIGMA * surveyed.noise)
@@ -115,9 +114,9 @@ def segment(
     light = _slabs_are_light(picture, split.level, parameters.polarity)
     found, text = _threshold(picture, histogram, split, parameters, light=light)
     text = f"{text}; slabs are {'light' if light else 'dark'}"
-    if isinstance(found, float):
-        return _finish(Segmentation(text, picture, contrast, found, light), parameters)
-    return _finish(Segmentation(text, picture, contrast, light=light, made=_side(found, light=light)), parameters)
+    if isinstance(found, np.ndarray):
+        return _finish(Segmentation(text, picture, contrast, light=light, made=_side(found, light=light)), parameters)
+    return _finish(Segmentation(text, picture, contrast, found, light), parameters)
 
 
 def _threshold(
