@@ -1,11 +1,12 @@
 """How fast is the vision?  Full frames with 5, 20 and 100 slabs, one thread, beside what one writes with OpenCV first.
 
-    python benchmarks/vision_speed.py [--repeat N] [--slabs 5 20 100] [--numpy]
+    python benchmarks/vision_speed.py [--repeat N] [--slabs 5 20 100 400] [--numpy]
 
 Every pipeline runs in this process on the same pictures, by turns; the figures are median and least CPU time, which
 other load on the machine disturbs least.  Peers: the naive OpenCV pipeline (undistort the whole picture,
-Otsu, contours, matchShapes of all pairs, centroid and principal axis: no registration, no reject), and scikit-image
-(label and regionprops: no matching at all) where it is installed.  `memcpy` copies the frame once.
+Otsu, contours, matchShapes of all pairs, centroid and principal axis: no registration, no reject), once with maps for
+the undistortion made beforehand and once with cv2.undistort (``undistort``); and scikit-image (label and regionprops:
+no matching at all) where it is installed.  `memcpy` copies the frame once.
 """
 
 import argparse
@@ -77,8 +78,8 @@ def draw(calibration: Calibration, outlines: list[Points], random: np.random.Gen
     return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
 
 
-def naive(calibration: Calibration, recipe: Recipe) -> Callable[[Picture], int]:
-    """Return what an integrator writes first; maps for the undistortion are made beforehand."""
+def naive(calibration: Calibration, recipe: Recipe, *, prepared: bool) -> Callable[[Picture], int]:
+    """Return what an integrator writes first; ``prepared``: maps for the undistortion are made beforehand."""
     lens = calibration.lens
     maps = cv2.initUndistortRectifyMap(
         lens.matrix, lens.distortion, np.eye(3), lens.matrix, (WIDTH, HEIGHT), cv2.CV_16SC2
@@ -86,7 +87,10 @@ def naive(calibration: Calibration, recipe: Recipe) -> Callable[[Picture], int]:
     templates = [slot.vertices.astype(np.float32).reshape(-1, 1, 2) for slot in recipe.template.slots]
 
     def run(picture: Picture) -> int:
-        flat = cv2.remap(picture, maps[0], maps[1], cv2.INTER_LINEAR)
+        if prepared:
+            flat = cv2.remap(picture, maps[0], maps[1], cv2.INTER_LINEAR)
+        else:
+            flat = cv2.undistort(picture, lens.matrix, lens.distortion)
         _, mask = cv2.threshold(flat, 0, 255, cv2.THRESH_OTSU)
         contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         matched = 0
@@ -147,11 +151,12 @@ def main() -> None:
         picture, recipe = scene(calibration, count, seed=count)
         locator = Locator(calibration, recipe)
         target = np.empty_like(picture)
-        peer_run = naive(calibration, recipe)
+        quick, plain = naive(calibration, recipe, prepared=True), naive(calibration, recipe, prepared=False)
         work: dict[str, Callable[[], object]] = {
             "memcpy": lambda picture=picture, target=target: np.copyto(target, picture),
             "slabcell": lambda locator=locator, picture=picture: locator.locate(picture),
-            "naive": lambda run=peer_run, picture=picture: run(picture),
+            "naive": lambda run=quick, picture=picture: run(picture),
+            "undistort": lambda run=plain, picture=picture: run(picture),
         }
         peer = skimage_peer()
         if peer is not None:

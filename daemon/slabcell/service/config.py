@@ -15,7 +15,7 @@ from slabcell.service.krl_config import KrlConfig
 from slabcell.service.light_config import LightConfig
 from slabcell.service.modbus_config import ModbusConfig
 from slabcell.toml_file import TomlTable
-from slabcell_drivers.camera.settings import CameraSettings
+from slabcell_drivers.camera.settings import MIN_HEARTBEAT_MS, CameraSettings
 from slabcell_drivers.robot import Frame
 
 __all__ = [
@@ -79,7 +79,7 @@ class CameraConfig(TomlTable):
     packet_delay_ns: Annotated[int, Field(ge=0, le=10_000_000)] | None = Field(
         default=None, description="pause between packets"
     )
-    heartbeat_ms: Annotated[int, Field(ge=500, le=60_000)] = Field(
+    heartbeat_ms: Annotated[int, Field(ge=MIN_HEARTBEAT_MS, le=60_000)] = Field(
         default=3000, description="after this long without us the camera is free for others"
     )
 
