@@ -7,9 +7,11 @@ same outline are no doubt, and neither are rotations that look alike: they come 
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from slabcell.geometry import Polygon, RigidTransform2D
 from slabcell.vision.matching import assign
@@ -89,16 +91,34 @@ class _Alternatives:
     def of(self, blob: int) -> list[tuple[int, float]]:
         """Return each slot of another outline that this blob may have instead, and what it costs all of them."""
         own = self.assigned[blob]
-        others = [
-            slot
-            for (candidate, slot) in self.square
-            if candidate == blob and slot in self.free and self.kinds[slot] != self.kinds[own]
-        ]
+        others = [slot for slot in self._choices[blob] if self.kinds[slot] != self.kinds[own]]
         return [(slot, lead) for slot in others if (lead := self._lead(blob, slot)) is not None]
+
+    @cached_property
+    def _choices(self) -> dict[int, list[int]]:
+        """The free slots that each blob may have."""
+        choices: dict[int, list[int]] = {blob: [] for blob, _ in self.square}
+        for blob, slot in self.square:
+            if slot in self.free:
+                choices[blob].append(slot)
+        return choices
+
+    @cached_property
+    def _owner(self) -> dict[int, int]:
+        return {taken: holder for holder, taken in self.assigned.items()}
+
+    @cached_property
+    def _cost(self) -> npt.NDArray[np.float64]:
+        """Every blob's mean square distance in every slot, infinite where it does not fit."""
+        rows, columns = (1 + max(key[axis] for key in self.square) for axis in (0, 1))
+        cost = np.full((rows, columns), np.inf)
+        for key, value in self.square.items():
+            cost[key] = value
+        return cost
 
     def _lead(self, blob: int, slot: int) -> float | None:
         """Return by how much the best assignment with this blob in that slot fits worse than the one that was made."""
-        owner = {taken: holder for holder, taken in self.assigned.items()}
+        owner = self._owner
         lead = self.square[(blob, slot)] - self.square[(blob, self.assigned[blob])]
         if slot not in owner:
             return lead
@@ -109,13 +129,13 @@ class _Alternatives:
         while waiting:
             holder = waiting.pop()
             moved.append(holder)
-            for candidate, other in self.square:
-                if candidate == holder and other in self.free and other != slot and other not in slots:
+            for other in self._choices.get(holder, ()):
+                if other != slot and other not in slots:
                     slots.add(other)
                     if other in owner and owner[other] not in (blob, *moved, *waiting):
                         waiting.append(owner[other])
         columns = sorted(slots)
-        cost = np.array([[self.square.get((holder, other), np.inf) for other in columns] for holder in moved])
+        cost = self._cost[np.ix_(moved, columns)]
         pairs = assign(cost)
         if len(pairs) < len(moved):
             return None

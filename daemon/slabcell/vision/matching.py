@@ -34,12 +34,15 @@ REFINEMENTS = 3
 WINDOW = 3
 # Of the blob's samples one of two is compared.
 EVERY = 2
+# Laid over the blob, another candidate may be off by CLOSE floors more than the best; a distance counts to FAR of them.
+CLOSE, FAR = 3.0, 20.0
 
 
 class Candidate(NamedTuple):
     """A slot laid over a blob: table = motion·assembly, turned by ``rotation`` (rad) and moved by ``x_mm``, ``y_mm``.
 
-    ``distance_mm`` is the RMS distance of the two outlines.  A tuple, because many are made for each picture.
+    ``distance_mm`` is the RMS distance of the two outlines, a uniform offset left free.  A tuple, because many are made
+    for each picture.
     """
 
     blob: int
@@ -101,14 +104,19 @@ def find_candidates(
             for peak in _peaks(blobs, slots, blob, slot, limits)
         ]
         best = min((distance for *_, distance in peaks), default=0.0)
+        laid: list[tuple[int, float, float, float, float]] = [
+            (slot, *_refined(blobs, slots, blob, slot, start, turn, limits.floor_mm))
+            for slot, start, turn, distance in peaks
+            if distance <= limits.worse * best + limits.margin_mm
+        ]
+        closest = min((distance for *_, distance in laid), default=0.0)
         kept: list[Candidate] = []
-        for slot, start, turn, distance in peaks:
-            if distance > limits.worse * best + limits.margin_mm:
+        for slot, rotation, x, y, distance in laid:
+            if distance > limits.worse * closest + CLOSE * limits.floor_mm:
                 continue
-            rotation, x, y = _refined(blobs, slots, blob, slot, start, turn, limits.floor_mm)
             step = 2.0 * math.pi / limits.symmetry_order[slot]
             turns = [(rotation - other.rotation) / step for other in kept if other.slot == slot]
-            if all(abs(turns_off - round(turns_off)) * step > math.radians(limits.same_deg) for turns_off in turns):
+            if all(abs(turn - round(turn)) * step > math.radians(limits.same_deg) for turn in turns):
                 kept.append(Candidate(blob, slot, rotation, x, y, distance))
         found += kept
     return found
@@ -136,10 +144,11 @@ def _peaks(blobs: Shapes, slots: Shapes, blob: int, slot: int, limits: MatchLimi
 
 def _refined(
     blobs: Shapes, slots: Shapes, blob: int, slot: int, start: int, rotation: float, floor_mm: float
-) -> tuple[float, float, float]:
-    """Return rotation (rad), x and y that lay the slot's outline over the blob's by the distances along its normals.
+) -> tuple[float, float, float, float]:
+    """Return rotation (rad), x and y that lay the slot's outline over the blob's, and how far it is then off.
 
-    A uniform offset is left free.
+    That goes by the distances along its normals, a uniform offset left free; their root mean square, before the last
+    step and with far ones cut, is the last that is returned.
 
     Gauss-Newton with Cauchy's weights: A. Fitzgibbon, "Robust registration of 2D and 3D point sets", Image and Vision
     Computing 21, 2003, in its simplest form.
@@ -151,7 +160,7 @@ def _refined(
     shift = (start * SAMPLES + FINE // 2) // FINE
     compared = np.arange(0, SAMPLES, EVERY)
     near = (compared[:, None] - shift + np.arange(-WINDOW, WINDOW + 1)) % SAMPLES
-    place, spread = 0j, 8.0 * floor_mm
+    place, spread, distance = 0j, 8.0 * floor_mm, 0.0
     for _ in range(REFINEMENTS):
         turn = np.exp(1j * rotation)
         points, outward = model * turn, normals[slot] * turn
@@ -163,6 +172,7 @@ def _refined(
         lever = (np.conj(1j * there) * normal).real / reach
         rows = np.column_stack([normal.real, normal.imag, lever, np.ones(len(compared))])
         weight = 1.0 / (1.0 + (away / spread) ** 2)
+        distance = math.sqrt(float(np.mean(np.minimum(away**2, (FAR * floor_mm) ** 2))))
         left = rows.T @ (weight[:, None] * rows) + 1e-3 * np.eye(4)
         change: list[float] = np.asarray(np.linalg.solve(left, rows.T @ (weight * away)), np.float64).tolist()
         place += complex(change[0], change[1])
@@ -170,7 +180,7 @@ def _refined(
         mean = float(np.sum(weight * np.minimum(np.abs(away), 4.0 * spread)) / max(float(weight.sum()), 1e-9))
         spread = max(2.0 * floor_mm, min(spread, 2.0 * mean))
     moved = blobs.middle[blob] + place - np.exp(1j * rotation) * slots.middle[slot]
-    return rotation, float(moved.real), float(moved.imag)
+    return rotation, float(moved.real), float(moved.imag), distance
 
 
 def assign(cost: npt.NDArray[np.float64]) -> list[tuple[int, int]]:

@@ -22,7 +22,7 @@ from slabcell.vision.contours import Contours
 from slabcell.vision.edge_profile import EdgeLines, EdgeShifts, ProfileModel
 from slabcell.vision.edge_projection import Outlines, Poses, ProjectedEdges
 from slabcell.vision.local_map import MARGIN_PX, LocalMaps, map_locally, nodes_of_maps
-from slabcell.vision.matching import FINE, MAX_ROTATIONS, Candidate, MatchLimits
+from slabcell.vision.matching import CLOSE, FINE, MAX_ROTATIONS, Candidate, MatchLimits
 from slabcell.vision.outline import Rings
 from slabcell.vision.outline_set import OutlineSet
 from slabcell.vision.picture_model import (
@@ -231,6 +231,7 @@ class NativeEngine:
                 limits.margin_mm,
                 math.radians(limits.same_deg),
                 limits.floor_mm,
+                CLOSE * limits.floor_mm,
             ]
         )
         scratch = np.empty(len(slots) * (4 + 6 * MAX_ROTATIONS))

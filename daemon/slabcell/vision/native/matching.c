@@ -7,6 +7,7 @@
 #define MAX_ROTATIONS 4
 #define REFINEMENTS 3
 #define WINDOW 3
+#define FAR 20.0 /* floors: a distance counts no more than this */
 #define EVERY 2 /* of the blob's samples one of two is compared */
 
 void slabcell_fft(double *values, int n, const double *roots, int most, int inverse);
@@ -19,6 +20,7 @@ typedef struct {
     double worse, margin; /* how much worse than the best of a blob another may be: factor and mm */
     double same;          /* rotations that differ by less (radians) are one */
     double floor;         /* mm: what an outline scatters at least */
+    double close;         /* mm: by how much more than the best of a blob another may be off once laid over it */
 } Limits;
 
 typedef struct {
@@ -104,14 +106,15 @@ static int solve4(double a[4][4], double b[4])
 }
 
 /* Lays the slot's outline over the blob's by the distances along its normals, a uniform offset left free: Gauss-Newton
- * with Cauchy's weights.  `x`, `y`: where the mean of the slot's samples lies, beside the mean of the blob's. */
+ * with Cauchy's weights.  `x`, `y`: where the mean of the slot's samples lies, beside the mean of the blob's; the distance
+ * becomes the root mean square of those along the normals, before the last step, far ones cut. */
 static void refine(const double *blob, const double *slot, const double *normals, double floor, Peak *peak)
 {
     const int shift = (peak->start * SAMPLES + FINE / 2) / FINE;
     double spread = 8.0 * floor;
     for (int step = 0; step < REFINEMENTS; step++) {
         const double c = cos(peak->rotation), s = sin(peak->rotation);
-        double normal[4][4] = {{0}}, right[4] = {0}, reach = 1.0, sum = 0.0, weights = 0.0;
+        double normal[4][4] = {{0}}, right[4] = {0}, reach = 1.0, sum = 0.0, weights = 0.0, squares = 0.0;
         double px[SAMPLES], py[SAMPLES], nx[SAMPLES], ny[SAMPLES];
         for (int k = 0; k < SAMPLES; k++) {
             px[k] = c * slot[2 * k] - s * slot[2 * k + 1];
@@ -142,12 +145,14 @@ static void refine(const double *blob, const double *slot, const double *normals
                     normal[p][q] += weight * row[p] * row[q];
             }
             sum += weight * fmin(fabs(away), 4.0 * spread);
+            squares += fmin(away * away, FAR * FAR * floor * floor);
             weights += weight;
         }
         for (int p = 0; p < 4; p++)
             normal[p][p] += 1e-3;
         if (!solve4(normal, right))
             return;
+        peak->distance = sqrt(squares * EVERY / SAMPLES);
         peak->x += right[0];
         peak->y += right[1];
         peak->rotation += right[2] / reach;
@@ -212,33 +217,39 @@ int64_t slabcell_match(int64_t blobs, const double *blob_shapes, const double *b
             }
             count += more;
         }
-        int64_t pair = written;
+        int64_t kept = 0;
+        double closest = INFINITY;
         for (int64_t i = 0; i < count; i++) {
+            if (!(all[i].distance <= limits->worse * best + limits->margin))
+                continue;
             Peak peak = all[i];
-            if (i == 0 || all[i - 1].slot != peak.slot)
-                pair = written;
-            if (!(peak.distance <= limits->worse * best + limits->margin))
+            refine(blob_samples + 2 * SAMPLES * b, slot_samples + 2 * SAMPLES * (ptrdiff_t)peak.slot,
+                   slot_normals + 2 * SAMPLES * (ptrdiff_t)peak.slot, limits->floor, &peak);
+            closest = fmin(closest, peak.distance);
+            all[kept++] = peak;
+        }
+        int64_t first = 0; /* of the pair's */
+        for (int64_t i = 0; i < kept; i++) {
+            const Peak *peak = all + i;
+            if (all[first].slot != peak->slot)
+                first = i;
+            int again = !(peak->distance <= limits->worse * closest + limits->close);
+            for (int64_t k = first; k < i && !again; k++)
+                again = all[k].start >= 0 && same_rotation(peak, all + k, slot_symmetries[peak->slot], limits->same);
+            if (again) {
+                all[i].start = -1; /* left out: nothing is compared with it */
                 continue;
-            const double *slot = slot_samples + 2 * SAMPLES * (ptrdiff_t)peak.slot;
-            refine(blob_samples + 2 * SAMPLES * b, slot, slot_normals + 2 * SAMPLES * (ptrdiff_t)peak.slot,
-                   limits->floor, &peak);
-            int again = 0;
-            for (int64_t k = pair; k < written && k < room; k++) {
-                const Peak kept = {0, 0, found[FOUND_FIELDS * k + FOUND_ROTATION], 0.0, 0.0, 0.0};
-                again |= same_rotation(&peak, &kept, slot_symmetries[peak.slot], limits->same);
             }
-            if (again)
-                continue;
             if (written < room) {
-                const double *middle = slot_shapes + SHAPE_FIELDS * (ptrdiff_t)peak.slot;
-                const double c = cos(peak.rotation), s = sin(peak.rotation);
+                const double *middle = slot_shapes + SHAPE_FIELDS * (ptrdiff_t)peak->slot;
+                const double c = cos(peak->rotation), s = sin(peak->rotation);
                 double *row = found + FOUND_FIELDS * written;
                 row[FOUND_BLOB] = (double)b;
-                row[FOUND_SLOT] = peak.slot;
-                row[FOUND_ROTATION] = peak.rotation;
-                row[FOUND_X] = shape[SHAPE_X] + peak.x - (c * middle[SHAPE_X] - s * middle[SHAPE_Y]);
-                row[FOUND_Y] = shape[SHAPE_Y] + peak.y - (s * middle[SHAPE_X] + c * middle[SHAPE_Y]);
-                row[FOUND_DISTANCE] = peak.distance;
+                row[FOUND_SLOT] = peak->slot;
+                row[FOUND_ROTATION] = peak->rotation;
+                row[FOUND_X] = shape[SHAPE_X] + peak->x - (c * middle[SHAPE_X] - s * middle[SHAPE_Y]);
+                row[FOUND_Y] = shape[SHAPE_Y] + peak->y - (s * middle[SHAPE_X] + c * middle[SHAPE_Y]);
+                row[FOUND_DISTANCE] = peak->distance;
             }
             written++;
         }
