@@ -12,7 +12,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from slabcell.errors import RecipeError
+from slabcell.errors import RecipeError, TemplateError
 from slabcell.template import Template, load_template
 from slabcell.toml_file import TomlTable, read_toml
 
@@ -372,7 +372,11 @@ class Recipe:
 def load_recipe(path: Path) -> Recipe:
     """Return the checked recipe of a TOML file.  Raises RecipeError or TemplateError."""
     written = read_toml(path, RecipeFile, RecipeError)
-    template = load_template(path.parent / written.template.file)
+    try:
+        template = load_template(path.parent / written.template.file)
+    except TemplateError as error:
+        # Whose file it is: the fault may be the recipe's, which names another.
+        raise TemplateError(f"{error} (template of {path})", problems=error.problems, number=error.number) from error
     segmentation = written.segmentation
     if segmentation.promptable is not None:
         model = segmentation.promptable

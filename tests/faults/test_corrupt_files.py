@@ -19,7 +19,7 @@ from slabcell.cell.ledger import LedgerFile
 from slabcell.cell.ledger_export import export_document, read_export, restore, write_export
 from slabcell.errors import SlabcellError
 from slabcell.recipe import load_recipe
-from slabcell.service.config import load_config
+from slabcell.service.config_layers import load_config
 
 from .conftest import cell_kit
 

@@ -172,7 +172,8 @@ def _refined(
         lever = (np.conj(1j * there) * normal).real / reach
         rows = np.column_stack([normal.real, normal.imag, lever, np.ones(len(compared))])
         weight = 1.0 / (1.0 + (away / spread) ** 2)
-        distance = math.sqrt(float(np.mean(np.minimum(away**2, (FAR * floor_mm) ** 2))))
+        cut: Floats = np.minimum(away**2, (FAR * floor_mm) ** 2).astype(np.float64, copy=False)
+        distance = math.sqrt(float(cut.mean()))
         left = rows.T @ (weight[:, None] * rows) + 1e-3 * np.eye(4)
         change: list[float] = np.asarray(np.linalg.solve(left, rows.T @ (weight * away)), np.float64).tolist()
         place += complex(change[0], change[1])
