@@ -14,7 +14,6 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtr
 
 from slabcell.errors import ImageError
 from slabcell.geometry import Points
@@ -23,6 +22,15 @@ from slabcell.vision.edge_profile import EdgeLines, EdgeShifts, ProfileModel
 from slabcell.vision.edge_projection import Outlines, Poses, ProjectedEdges
 from slabcell.vision.local_map import MARGIN_PX, LocalMaps, map_locally, nodes_of_maps
 from slabcell.vision.matching import CLOSE, FINE, MAX_ROTATIONS, Candidate, MatchLimits
+from slabcell.vision.native.memory import (
+    at,
+    normal_distribution,
+    of_model,
+    of_poses,
+    of_shapes,
+    plain,
+    shifts,
+)
 from slabcell.vision.outline import Rings
 from slabcell.vision.outline_set import OutlineSet
 from slabcell.vision.picture_model import (
@@ -60,7 +68,6 @@ LIBRARY: Final = Path(__file__).with_name("_kernel.so")
 FAST_LIBRARY: Final = Path(__file__).with_name("_kernel_v3.so")
 # As in kernel.h.
 VERSION: Final = 6
-TABLE_REACH, TABLE_STEPS = 7, 64
 LINE_FIELDS, RESULT_FIELDS, EXTRA_FIELDS, MAP_FIELDS, FOUND_FIELDS = 7, 10, 8, 63, 16
 # Numbers that a registration has to remember of each candidate, and of each of its pieces.
 REGISTER_OUTLINE, REGISTER_PIECE = 256, 48
@@ -127,7 +134,7 @@ class NativeEngine:
         )
         self.level = int(library.slabcell_cpu_level())
         self._rooms = threading.local()
-        self._table = _normal_distribution()
+        self._table = normal_distribution()
         self._logarithms = np.ascontiguousarray(LOGARITHMS)
         turns = np.exp(-2j * np.pi * np.arange(FINE // 2) / FINE)
         self._roots = np.ascontiguousarray(turns.view(np.float64))
@@ -137,7 +144,16 @@ class NativeEngine:
         height, width = picture.shape
         grey, difference, step = np.empty(256, np.int64), np.empty(256, np.int64), step_of(picture)
         steepest = np.empty(2 * -(-height // (2 * step)), np.uint8)
-        self._survey(_at(picture), width, width, height, step, _at(grey), _at(difference), _at(steepest))
+        self._survey(
+            at(picture),
+            width,
+            width,
+            height,
+            step,
+            at(grey),
+            at(difference),
+            at(steepest),
+        )
         return Survey(grey, difference, steepest)
 
     def trace(self, picture: Picture, level: float, *, dark: bool, interpolate: bool, min_area_px: float) -> Contours:
@@ -151,17 +167,17 @@ class NativeEngine:
             totals = np.empty(2, np.int64)
             count = int(
                 self._trace(
-                    *(_at(picture), width, width, height),
+                    *(at(picture), width, width, height),
                     *(level, int(dark), int(interpolate), min_area_px),
                     *(
-                        _at(scratch),
-                        _at(points),
+                        at(scratch),
+                        at(points),
                         points_room,
-                        _at(starts),
-                        _at(areas),
-                        _at(rims),
+                        at(starts),
+                        at(areas),
+                        at(rims),
                         outlines_room,
-                        _at(totals),
+                        at(totals),
                     ),
                 )
             )
@@ -185,8 +201,8 @@ class NativeEngine:
     def to_plane(self, table: PixelTable, pixels: Points) -> Points:
         """See `plane.PixelTable.at`."""
         rows, columns, _ = table.mm.shape
-        pixels, found = _plain(pixels), np.empty((len(pixels), 2))
-        self._to_plane(_at(table.mm), rows, columns, table.pitch_px, len(pixels), _at(pixels), _at(found))
+        pixels, found = plain(pixels), np.empty((len(pixels), 2))
+        self._to_plane(at(table.mm), rows, columns, table.pitch_px, len(pixels), at(pixels), at(found))
         return found
 
     def describe(self, rings: Rings) -> Shapes:
@@ -195,22 +211,29 @@ class NativeEngine:
 
     def describe_pixels(self, table: PixelTable, pixels: Points, starts: npt.NDArray[np.int64]) -> Shapes:
         """See `kernel.Engine.describe_pixels`."""
-        return self._shapes(_plain(pixels), starts, table)
+        return self._shapes(plain(pixels), starts, table)
 
     def _shapes(self, points: Points, starts: npt.NDArray[np.int64], table: PixelTable | None) -> Shapes:
-        count, starts = len(starts) - 1, _plain(starts, np.int64)
+        count, starts = len(starts) - 1, plain(starts, np.int64)
         rows, columns, _ = (0, 0, 0) if table is None else table.mm.shape
-        grid, pitch = (None, 1.0) if table is None else (_at(table.mm), table.pitch_px)
+        grid, pitch = (None, 1.0) if table is None else (at(table.mm), table.pitch_px)
         scratch = self._room(2 * int(np.diff(starts).max(initial=0)))
         samples, middle = np.empty((count, SAMPLES), np.complex128), np.empty(count, np.complex128)
         area, inertia, centroid = np.empty(count), np.empty(count), np.empty((count, 2))
         self._describe(
-            *(grid, rows, columns, pitch, count, _at(starts), _at(points), SAMPLES, _at(scratch)),
-            *(_at(samples), _at(middle), _at(area), _at(inertia), _at(centroid)),
+            *(grid, rows, columns, pitch, count, at(starts), at(points), SAMPLES, at(scratch)),
+            *(at(samples), at(middle), at(area), at(inertia), at(centroid)),
         )
         values, energy = np.empty((count, SAMPLES), np.complex128), np.empty(count)
         magnitudes = np.empty((count, HARMONICS))
-        self._spectra(count, _at(samples), _at(self._roots), _at(values), _at(energy), _at(magnitudes))
+        self._spectra(
+            count,
+            at(samples),
+            at(self._roots),
+            at(values),
+            at(energy),
+            at(magnitudes),
+        )
         return Shapes(samples, middle, area, inertia, centroid, Spectra(values, energy, magnitudes))
 
     def find_candidates(
@@ -219,10 +242,10 @@ class NativeEngine:
         """See `matching.find_candidates`."""
         if len(blobs) == 0 or len(slots) == 0 or slots.normals is None:
             return []
-        mine, theirs = _of_shapes(blobs), _of_shapes(slots)
-        distances, symmetries = _plain(limits.distance_mm), np.array(limits.symmetry_order, np.float64)
-        normals = _plain(slots.normals, np.complex128)
-        pairs = None if allowed is None else _plain(allowed, np.uint8)
+        mine, theirs = of_shapes(blobs), of_shapes(slots)
+        distances, symmetries = plain(limits.distance_mm), np.array(limits.symmetry_order, np.float64)
+        normals = plain(slots.normals, np.complex128)
+        pairs = None if allowed is None else plain(allowed, np.uint8)
         how = np.array(
             [
                 math.log1p(limits.area),
@@ -240,9 +263,19 @@ class NativeEngine:
             found = np.empty((room, 6))
             count = int(
                 self._match(
-                    *(len(blobs), *(_at(part) for part in mine), len(slots), *(_at(part) for part in theirs)),
-                    *(_at(normals), _at(distances), _at(symmetries), None if pairs is None else _at(pairs)),
-                    *(_at(how), _at(self._roots), _at(scratch), room, _at(found)),
+                    *(
+                        len(blobs),
+                        *(at(part) for part in mine),
+                        len(slots),
+                        *(at(part) for part in theirs),
+                    ),
+                    *(
+                        at(normals),
+                        at(distances),
+                        at(symmetries),
+                        None if pairs is None else at(pairs),
+                    ),
+                    *(at(how), at(self._roots), at(scratch), room, at(found)),
                 )
             )
             if count <= room:
@@ -256,10 +289,18 @@ class NativeEngine:
             return map_locally(plane, centre, size)
         rows, columns, _ = table.pixels.shape
         nodes, inverse = nodes_of_maps()
-        centre, size, maps = _plain(centre), _plain(size), np.empty((len(centre), MAP_FIELDS))
+        centre, size, maps = plain(centre), plain(size), np.empty((len(centre), MAP_FIELDS))
         self._maps(
-            *(_at(table.pixels), rows, columns, table.x_mm, table.y_mm, table.pitch_mm),
-            *(len(nodes), _at(nodes), _at(inverse), len(centre), _at(centre), _at(size), _at(maps)),
+            *(at(table.pixels), rows, columns, table.x_mm, table.y_mm, table.pitch_mm),
+            *(
+                len(nodes),
+                at(nodes),
+                at(inverse),
+                len(centre),
+                at(centre),
+                at(size),
+                at(maps),
+            ),
         )
         return LocalMaps(maps)
 
@@ -269,10 +310,10 @@ class NativeEngine:
         if table is None or not table.holds(points, 0.0):
             return plane.to_pixels(points)
         rows, columns, _ = table.pixels.shape
-        points, found = _plain(points), np.empty((len(points), 2))
+        points, found = plain(points), np.empty((len(points), 2))
         self._to_pixels(
-            *(_at(table.pixels), rows, columns, table.x_mm, table.y_mm, table.pitch_mm),
-            *(len(points), _at(points), _at(found)),
+            *(at(table.pixels), rows, columns, table.x_mm, table.y_mm, table.pitch_mm),
+            *(len(points), at(points), at(found)),
         )
         return found
 
@@ -280,43 +321,43 @@ class NativeEngine:
         """See `edge_projection.project`."""
         pieces = len(outlines.pieces)
         lines, extras = np.empty((pieces, LINE_FIELDS)), np.empty((pieces, EXTRA_FIELDS))
-        starts, table = _plain(outlines.starts, np.int64), _plain(outlines.pieces)
-        placed, mapped = _of_poses(poses), _plain(maps.table)
+        starts, table = plain(outlines.starts, np.int64), plain(outlines.pieces)
+        placed, mapped = of_poses(poses), plain(maps.table)
         self._project(
-            *(len(outlines), _at(starts), _at(table), _at(placed), _at(mapped)),
-            *(int(mirrored), _at(lines), _at(extras)),
+            *(len(outlines), at(starts), at(table), at(placed), at(mapped)),
+            *(int(mirrored), at(lines), at(extras)),
         )
         return ProjectedEdges(EdgeLines(lines), extras)
 
     def measure_edges(self, grey: Grey, lines: EdgeLines, model: ProfileModel) -> EdgeShifts:
         """See `edge_profile.measure_edges`."""
-        picture, table, parameters = np.ascontiguousarray(grey), _plain(lines.table), _of_model(model)
+        picture, table, parameters = np.ascontiguousarray(grey), plain(lines.table), of_model(model)
         height, width = picture.shape
         results = np.empty((len(lines), RESULT_FIELDS))
         self._measure[picture.dtype.itemsize](
-            *(_at(picture), width, width, height, len(lines), _at(table)),
-            *(_at(parameters), _at(self._table), _at(results)),
+            *(at(picture), width, width, height, len(lines), at(table)),
+            *(at(parameters), at(self._table), at(results)),
         )
-        return _shifts(results)
+        return shifts(results)
 
     def solve(self, measured: Measured, prior: float) -> Solution:
         """See `pose_solver.solve`."""
         count = len(measured.starts) - 1
         given = np.ascontiguousarray(np.column_stack([measured.distance, measured.sigma, measured.valid]), np.float64)
-        starts, extras = _plain(measured.starts, np.int64), _plain(measured.extras)
+        starts, extras = plain(measured.starts, np.int64), plain(measured.extras)
         change, covariance = np.empty((count, UNKNOWNS)), np.empty((count, UNKNOWNS, UNKNOWNS))
         spread, remains = np.empty(count), np.empty(len(given))
         self._solve(
-            *(count, _at(starts), _at(extras), _at(given), prior),
-            *(_at(change), _at(covariance), _at(spread), _at(remains)),
+            *(count, at(starts), at(extras), at(given), prior),
+            *(at(change), at(covariance), at(spread), at(remains)),
         )
         return Solution(change, covariance, spread, remains)
 
     def split(self, surveyed: Survey) -> Split | None:
         """See `thresholds.split_in_two`."""
-        counts = _plain(surveyed.grey, np.int64)
+        counts = plain(surveyed.grey, np.int64)
         found = np.empty(4)
-        return Split.of(*found.tolist()) if self._split(_at(counts), _at(self._logarithms), _at(found)) else None
+        return Split.of(*found.tolist()) if self._split(at(counts), at(self._logarithms), at(found)) else None
 
     def register(
         self, grey: Grey, plane: PlaneView, outlines: OutlineSet, candidates: Sequence[Candidate], *, rough: bool
@@ -336,15 +377,30 @@ class NativeEngine:
         key = (scale, plane.mirrored, rough)
         how = _settings(*key)
         kinds = [
-            _at(part) for item in (outlines.whole, outlines.few, outlines.probes) for part in (item.starts, item.pieces)
+            at(part) for item in (outlines.whole, outlines.few, outlines.probes) for part in (item.starts, item.pieces)
         ]
         starts = np.empty(2 * count + 2, np.int64)
         scratch = self._room(count * REGISTER_OUTLINE + pieces * REGISTER_PIECE)
         found = np.empty((count, FOUND_FIELDS))
         self._register(
-            *(_at(picture), width, width, height, int(picture.dtype.itemsize == 2), _at(self._table), _at(how)),
-            *(*kinds, _at(outlines.pivots), _at(outlines.reaches_mm), count, _at(slots), _at(motions)),
-            *(_at(maps.table), MAP_FIELDS, pieces, _at(starts), _at(scratch), _at(found)),
+            *(
+                at(picture),
+                width,
+                width,
+                height,
+                int(picture.dtype.itemsize == 2),
+                at(self._table),
+                at(how),
+            ),
+            *(
+                *kinds,
+                at(outlines.pivots),
+                at(outlines.reaches_mm),
+                count,
+                at(slots),
+                at(motions),
+            ),
+            *(at(maps.table), MAP_FIELDS, pieces, at(starts), at(scratch), at(found)),
         )
         return registrations_of(candidates, found[:, :7], found[:, 7:].reshape(count, 3, 3))
 
@@ -373,57 +429,3 @@ def _load(path: Path | None) -> ctypes.CDLL:
     if path is None and FAST_LIBRARY.exists() and library.slabcell_cpu_level() >= FAST_LEVEL:
         return _load(FAST_LIBRARY)
     return library
-
-
-def _at(array: npt.NDArray[Any]) -> int:
-    """Return where an array's memory begins."""
-    return array.__array_interface__["data"][0]
-
-
-def _plain(array: npt.NDArray[Any], kind: Any = np.float64) -> npt.NDArray[Any]:
-    return np.ascontiguousarray(array, kind)
-
-
-def _of_shapes(shapes: Shapes) -> tuple[npt.NDArray[Any], ...]:
-    """Return features, samples, spectra, energies and magnitudes as the kernel reads them."""
-    features = np.empty((len(shapes), 4))
-    features[:, 0], features[:, 1] = shapes.middle.real, shapes.middle.imag
-    features[:, 2], features[:, 3] = shapes.area_mm2, shapes.inertia
-    spectra = shapes.spectra
-    return (
-        features,
-        _plain(shapes.samples, np.complex128),
-        _plain(spectra.values, np.complex128),
-        _plain(spectra.energy),
-        _plain(spectra.magnitudes),
-    )
-
-
-def _of_poses(poses: Poses) -> Floats:
-    placed = np.empty((len(poses.rotation), 6))
-    placed[:, 0], placed[:, 5] = poses.rotation, poses.kerf
-    placed[:, 1:3], placed[:, 3:5] = poses.position, poses.pivot
-    return placed
-
-
-def _of_model(model: ProfileModel) -> Floats:
-    """Return the model in the order of the kernel's structure."""
-    return np.array(
-        [
-            *(model.sigma_px, model.reach_px, model.wall_ratio, model.wall_ratio_sigma),
-            *(model.noise, model.grain_inside, model.grain_outside, model.grain_reach_px, model.least_scatter),
-            *(float(model.near), float(model.fit_blur), model.wall_light_u, model.wall_light_v),
-        ]
-    )
-
-
-def _shifts(results: Floats) -> EdgeShifts:
-    shift, sigma, inside, outside, wall, valid, scatter, on_slab, on_table, blur = results.T
-    return EdgeShifts(shift, sigma, inside, outside, wall, valid > 0.5, scatter, on_slab, on_table, blur)
-
-
-def _normal_distribution() -> Floats:
-    """Return density and integral of the normal distribution, in turn, at the nodes of the kernel's table."""
-    nodes = np.arange(2 * TABLE_REACH * TABLE_STEPS + 1) / TABLE_STEPS - TABLE_REACH
-    density = np.exp(-0.5 * nodes * nodes) / np.sqrt(2.0 * np.pi)
-    return np.ascontiguousarray(np.column_stack([density, ndtr(nodes)]))
