@@ -16,6 +16,8 @@ PROGRAM = Path(__file__).with_name("fuzz_inputs.py")
 # Peak of what the process holds beyond its libraries: a decoded picture and its copies, nothing that adds up.
 MAX_GROWTH_MIB = 1024
 
+MANY = 1000
+REACHED = dict.fromkeys(("pictures", "templates", "lists", "recipes", "calibrations"), "accepted") | {"vision": "located"}
 SHORT = {"pictures": 150, "templates": 150, "lists": 150, "recipes": 100, "calibrations": 150, "vision": 60}
 LONG = {
     "pictures": 40_000,
@@ -43,7 +45,8 @@ def fuzz(kind: str, cases: int, timeout_s: float) -> None:
     print(report)
     # Hypothesis stops early only where a kind has no more different cases.
     assert report["cases"] >= 0.9 * cases
-    assert report["outcomes"]["refused"] > 0
+    # A few dozen pictures drawn at random may all be empty; among very many both ends have been reached.
+    assert cases < MANY or {"refused", REACHED[kind]} <= report["outcomes"].keys()
     assert report["grown_mib"] < MAX_GROWTH_MIB
 
 

@@ -22,6 +22,8 @@ __all__ = ["CELL_AREAS", "SimulatedPlc", "polled_on_line", "polled_over_tcp"]
 
 CELL_AREAS = frozenset(area for area in Area if not area.written_by_plc)
 LOOK_S = 0.2
+# How long whoever stands at the robot looks after the cell before pressing START again; twice as long each time.
+FIRST_PAUSE_S = 1.0
 
 
 class SimulatedPlc:
@@ -51,13 +53,17 @@ class SimulatedPlc:
         self.program = JobProgram(self.handshake.ask, self.body, timeouts=timeouts or Timeouts())
 
     async def run(self, *, starts: int = 1) -> JobEnd:
-        """Run the job; START is pressed again, up to ``starts`` times, when the program stops with a message."""
+        """Run the job; START is pressed up to ``starts`` times, each time after a longer pause, if a message stops it.
+
+        A cell that has just been switched on answers at once that its camera is not there yet: 5 starts last 15 s.
+        """
         beating = asyncio.create_task(self.handshake.keep_beating(), name="slabcell-plc-watchdog")
         try:
             end = await self.program.run()
-            for _ in range(starts - 1):
+            for pressed in range(starts - 1):
                 if end.status != "halted":
                     break
+                await asyncio.sleep(FIRST_PAUSE_S * 2**pressed)
                 end = await self.program.run()
             return end
         finally:
