@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from slabcell.errors import ImageError
 
-__all__ = ["Image", "decode_image", "read_image"]
+__all__ = ["Image", "decode_image", "image_size", "read_image"]
 
 Image = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 """A picture: shape (h, w) grey or (h, w, 3) in the order blue, green, red; uint8 or uint16."""
@@ -55,6 +55,12 @@ def decode_image(raw: bytes, source: str) -> Image:
     if not raw:
         msg = f"{source}: is empty; take or copy the picture again"
         raise ImageError(msg)
+    width, height = image_size(raw, source)
+    return _decode(raw, source, width, height)
+
+
+def image_size(raw: bytes, source: str) -> tuple[int, int]:
+    """Return width and height of the picture in a complete file, which is not decoded.  Raises ImageError."""
     try:
         width, height = _size(raw)
     except (struct.error, IndexError) as error:
@@ -66,7 +72,7 @@ def decode_image(raw: bytes, source: str) -> Image:
     if width < 1 or height < 1 or width * height > MAX_PIXELS:
         msg = f"{source}: claims {width}x{height} pixels; a picture has between 1 and {MAX_PIXELS} of them"
         raise ImageError(msg)
-    return _decode(raw, source, width, height)
+    return width, height
 
 
 class _UnusableError(Exception):

@@ -31,6 +31,7 @@ __all__ = [
     "RecipeFile",
     "SegmentationParameters",
     "load_recipe",
+    "make_recipe",
 ]
 
 
@@ -377,16 +378,21 @@ def load_recipe(path: Path) -> Recipe:
     except TemplateError as error:
         # Whose file it is: the fault may be the recipe's, which names another.
         raise TemplateError(f"{error} (template of {path})", problems=error.problems, number=error.number) from error
+    return make_recipe(path.stem, written, template, path.parent)
+
+
+def make_recipe(name: str, written: RecipeFile, template: Template, folder: Path) -> Recipe:
+    """Return the recipe that was written so; ``folder`` is what files of models are named relative to."""
     segmentation = written.segmentation
     if segmentation.promptable is not None:
         model = segmentation.promptable
         places = {
-            "encoder": str(path.parent / model.encoder),
-            "decoder": None if model.decoder is None else str(path.parent / model.decoder),
+            "encoder": str(folder / model.encoder),
+            "decoder": None if model.decoder is None else str(folder / model.decoder),
         }
         segmentation = segmentation.model_copy(update={"promptable": model.model_copy(update=places)})
     return Recipe(
-        path.stem,
+        name,
         template,
         written.template.thickness_mm,
         segmentation,

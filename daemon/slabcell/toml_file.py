@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from slabcell.errors import ConfigurationError
 from slabcell.toml_lines import KeyPath, key_lines
 
-__all__ = ["TomlDocument", "TomlTable", "check", "read_document", "read_toml"]
+__all__ = ["TomlDocument", "TomlTable", "check", "parse_document", "read_document", "read_toml"]
 
 MAX_BYTES = 1 << 20
 
@@ -66,6 +66,11 @@ def read_document(path: Path, error_type: type[ConfigurationError]) -> TomlDocum
     except OSError as error:
         msg = f"{path}: cannot be read: {error.strerror}"
         raise error_type(msg) from error
+    return parse_document(raw, path, error_type)
+
+
+def parse_document(raw: bytes, path: Path, error_type: type[ConfigurationError]) -> TomlDocument:
+    """Return what the bytes of a TOML file say; ``path`` names it in messages.  Raises ``error_type``."""
     if len(raw) > MAX_BYTES:
         msg = f"{path}: is larger than {MAX_BYTES >> 20} MiB; this is no such file"
         raise error_type(msg)

@@ -129,6 +129,8 @@ def test_the_daemon_lays_the_pattern_within_the_limits(cell, tmp_path):
             result = controller.run("SlabCell", max_wall_s=LIMIT_S)
         assert (result.status, result.message) == ("done", "")
         assert daemon.client.get("/v1/status")["state"] == "ready"
+        assert daemon.client.fetch("/v1/frames/latest.jpg").media_type == "image/jpeg"
+        assert daemon.client.post("/v1/vision/preview", {"everywhere": True})["located"] is not None
     assert list((state / "bundles").iterdir())
 
 

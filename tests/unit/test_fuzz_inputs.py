@@ -17,7 +17,9 @@ PROGRAM = Path(__file__).with_name("fuzz_inputs.py")
 MAX_GROWTH_MIB = 1024
 
 MANY = 1000
-REACHED = dict.fromkeys(("pictures", "templates", "lists", "recipes", "calibrations"), "accepted") | {"vision": "located"}
+REACHED = dict.fromkeys(("pictures", "templates", "lists", "recipes", "calibrations"), "accepted") | {
+    "vision": "located"
+}
 SHORT = {"pictures": 150, "templates": 150, "lists": 150, "recipes": 100, "calibrations": 150, "vision": 60}
 LONG = {
     "pictures": 40_000,

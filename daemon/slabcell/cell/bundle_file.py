@@ -34,7 +34,7 @@ from slabcell.template import Template
 from slabcell_drivers.robot.arm import ArmModel, arm_by_name
 from slabcell_drivers.robot.frame import Frame
 
-__all__ = ["Bundle", "BundleError", "read_bundle"]
+__all__ = ["Bundle", "BundleError", "read_bundle", "recipe_from_document"]
 
 MAX_JSON_BYTES = 32 << 20
 MAX_PICTURE_BYTES = 256 << 20
@@ -92,7 +92,7 @@ def read_bundle(path: Path) -> Bundle:
             path, "manifest.json", lambda: str(cast("dict[str, object]", manifest["versions"])["slabcell"])
         ),
         created=str(manifest.get("created", "")),
-        recipe=_checked(path, "recipe.json", lambda: _recipe(recipe)),
+        recipe=_checked(path, "recipe.json", lambda: recipe_from_document(recipe)),
         calibration=calibration,
         settings=settings,
         arm=arm,
@@ -166,7 +166,8 @@ def _polygons(value: object) -> tuple[Polygon, ...]:
     )
 
 
-def _recipe(document: dict[str, object]) -> Recipe:
+def recipe_from_document(document: dict[str, object]) -> Recipe:
+    """Return the recipe of a ``slabcell.recipe/1`` object.  Raises ValueError, KeyError or TypeError."""
     template = cast("dict[str, object]", document["template"])
     return Recipe(
         name=str(document["name"]),

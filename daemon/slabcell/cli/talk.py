@@ -7,9 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
+from slabcell.errors import SlabcellError, UsageError
 from slabcell.service.api.client import ApiClient
 
-__all__ = ["AsJson", "Socket", "client", "print_json", "seconds"]
+__all__ = ["AsJson", "Socket", "client", "print_json", "read_file", "seconds", "write_file"]
 
 Socket = Annotated[
     Path | None,
@@ -39,3 +40,22 @@ def seconds(duration_s: float) -> str:
     if duration_s < 3600:
         return f"{duration_s / 60:.0f} min"
     return f"{duration_s / 3600:.1f} h"
+
+
+def read_file(path: Path) -> bytes:
+    """Return what a file holds.  Raises UsageError."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        msg = f"{path}: cannot be read: {error.strerror}"
+        raise UsageError(msg) from error
+
+
+def write_file(path: Path, content: bytes) -> None:
+    """Write a file, and the folder that it is in.  Raises SlabcellError."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    except OSError as error:
+        msg = f"{path}: cannot be written: {error.strerror}"
+        raise SlabcellError(msg) from error

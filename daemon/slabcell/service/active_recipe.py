@@ -59,7 +59,7 @@ class RecipeShelf:
             name = str(document["recipe"]) if document["schema"] == SCHEMA else ""
         except (ValueError, KeyError, TypeError):  # damaged: said below, by the file's name
             name = ""
-        path = self._configured.with_name(f"{name}.toml")
+        path = self._configured.parent / f"{name}.toml"
         if not name or Path(name).name != name or not path.is_file():
             said = f"names recipe {name!r:.60}, which is not there" if name else "is damaged"
             msg = f"{self._choice}: {said}; delete this file to go by the configuration, or restore the recipe"
@@ -80,7 +80,7 @@ class RecipeShelf:
 
     def path_of(self, name: str) -> Path:
         """Return the file of a recipe by its name.  Raises RecipeError."""
-        path = self._configured.with_name(f"{name}.toml")
+        path = self._configured.parent / f"{name}.toml"
         if Path(name).name != name or not path.is_file():
             msg = f"there is no recipe {name!r:.60} in {self._configured.parent}"
             raise RecipeError(msg, number=Fault.RECIPE_MISSING)

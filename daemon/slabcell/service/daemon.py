@@ -25,6 +25,7 @@ from slabcell.service.api.context import ApiContext
 from slabcell.service.api.ring import EventRing
 from slabcell.service.api.server import listen, serve
 from slabcell.service.api.stream import StreamSeats
+from slabcell.service.bench.workbench import Workbench
 from slabcell.service.builder import CellParts, open_cell, read_parts
 from slabcell.service.bundles import BundleShelf
 from slabcell.service.camera_keeper import CameraKeeper
@@ -41,8 +42,10 @@ from slabcell.service.light_config import LightReport, with_light
 from slabcell.service.links import Links
 from slabcell.service.metrics import Metrics
 from slabcell.service.notify import notify, watchdog_interval_s
+from slabcell.service.pictures import Pictures
 from slabcell.service.robot_link import serve_robot
 from slabcell.service.robot_watch import RobotWatch
+from slabcell.service.studio import Studio
 from slabcell.service.watchdog import feed
 
 __all__ = ["run_daemon"]
@@ -123,6 +126,10 @@ async def _running(
         view = LedgerView(folder / "ledger.sqlite")
         stack.push_async_callback(view.close)
         robot = RobotWatch(cell, links)
+        bundles = BundleShelf(folder / "bundles")
+        studio = Studio(Workbench(), Pictures(frames, bundles, history))
+        stack.push_async_callback(studio.close)
+        stack.callback(cell.subscribe(studio.bench.see))
         context = ApiContext(
             name=config.name,
             started_s=time.monotonic(),
@@ -134,7 +141,8 @@ async def _running(
             ring=ring,
             seats=StreamSeats(config.api.event_clients),
             frames=frames,
-            bundles=BundleShelf(folder / "bundles"),
+            bundles=bundles,
+            studio=studio,
             tell_config=lambda content: feed.add("config", content),
         )
         metrics = Metrics(context, camera)

@@ -2,7 +2,7 @@
 
 import itertools
 import time
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -64,8 +64,9 @@ class Locator(Prepared):
         *,
         area_mm: Polygon | None = None,
         free_slots: Collection[int] | None = None,
+        watch: Callable[[Segmentation, list[RawBlob]], None] | None = None,
     ) -> LocateResult:
-        """Return what `locate` returns."""
+        """Return what `locate` returns; ``watch`` is shown segmentation and blobs before anything is matched."""
         clock = _Clock()
         grey = as_grey(image)
         self.calibration.require_size(grey.shape[1], grey.shape[0], "the picture")
@@ -78,6 +79,8 @@ class Locator(Prepared):
         segmentation, blobs, left_out = self._blobs(grey, image, surveyed)
         if self.segmenter is not None:
             segmentation, blobs = self.segmenter.segment(image, segmentation, blobs, self)
+        if watch is not None:
+            watch(segmentation, blobs)
         gates += blur_gate(surveyed, segmentation.contrast, self.recipe.gates)
         require(gates)
         clock.stop("segment")

@@ -28,6 +28,7 @@ from slabcell.service.api.resources import (
     recipes,
     results,
     status,
+    vision,
 )
 
 __all__ = ["ENDPOINTS", "description", "make_app"]
@@ -40,6 +41,7 @@ ENDPOINTS: tuple[Endpoint[ApiContext], ...] = (
     *recipes.ENDPOINTS,
     *frames.ENDPOINTS,
     *looking.ENDPOINTS,
+    *vision.ENDPOINTS,
     *alarms.ENDPOINTS,
     *control.ENDPOINTS,
     *events.ENDPOINTS,

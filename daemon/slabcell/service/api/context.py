@@ -16,6 +16,7 @@ from slabcell.service.history import History
 from slabcell.service.ledger_view import LedgerView
 from slabcell.service.links import Links
 from slabcell.service.robot_watch import RobotWatch
+from slabcell.service.studio import Studio
 
 __all__ = ["ApiContext"]
 
@@ -35,6 +36,7 @@ class ApiContext:
     seats: StreamSeats
     frames: FrameStore
     bundles: BundleShelf
+    studio: Studio
     tell_config: Callable[[dict[str, Any]], None] = lambda _: None
     recipes: RecipeShelf | None = None
     metrics: Callable[[], bytes] | None = None

@@ -69,7 +69,8 @@ class Endpoint(Generic[Context]):
     """One thing that can be asked for or done.
 
     ``answer`` is the model of the JSON object that comes back, or the media type of what else does.  A ``raw`` body is
-    handed on as bytes; ``raw`` is its media type.  Everything but GET needs an idempotency key.
+    handed on as bytes; ``raw`` is its media type.  Everything but GET needs an idempotency key, unless it is not
+    ``kept``: what it leaves goes by itself, or is the same when it is done twice.
     """
 
     method: Literal["GET", "POST"]
@@ -83,11 +84,17 @@ class Endpoint(Generic[Context]):
     raw: str | None = None
     body_bytes: int = BODY_BYTES
     problems: tuple[int, ...] = ()
+    kept: bool = True
 
     @property
     def writes(self) -> bool:
-        """Whether it changes something."""
+        """Whether it takes a body, and may change something."""
         return self.method != "GET"
+
+    @property
+    def keyed(self) -> bool:
+        """Whether it needs an idempotency key."""
+        return self.writes and self.kept
 
 
 def make_route(endpoint: Endpoint[Context], context: Context, once: Once) -> Route:
@@ -98,7 +105,7 @@ def make_route(endpoint: Endpoint[Context], context: Context, once: Once) -> Rou
             query = _query(endpoint, request)
             raw = await _read_body(request, endpoint.body_bytes) if endpoint.writes else b""
             call = Call(context, request, request.state.peer, query, _body(endpoint, request, raw), raw)
-            if not endpoint.writes:
+            if not endpoint.keyed:
                 return await _answer(endpoint, call)
             key = check_key(request.headers.get(KEY_HEADER))
             return await once.answer(key, request, raw, lambda: _answer(endpoint, call))

@@ -82,7 +82,7 @@ def _operation(endpoint: Endpoint[Any], definitions: Json) -> Json:
         },
     }
     parameters = [*_path_parameters(endpoint), *_query_parameters(endpoint, definitions)]
-    if endpoint.writes:
+    if endpoint.keyed:
         parameters.append(_KEY)
     if parameters:
         operation["parameters"] = parameters

@@ -10,11 +10,13 @@ from slabcell.calibration.model import Calibration, CameraIdentity, Lens, TableP
 from slabcell.cell.settings import CellSettings
 from slabcell.geometry import Polygon
 from slabcell.recipe import Recipe
+from slabcell.service.active_recipe import RecipeShelf
 from slabcell.service.api.app import make_app
 from slabcell.service.api.context import ApiContext
 from slabcell.service.api.ring import EventRing
 from slabcell.service.api.server import listen, serve
 from slabcell.service.api.stream import StreamSeats
+from slabcell.service.bench.workbench import Workbench
 from slabcell.service.builder import CellParts, open_cell
 from slabcell.service.bundles import BundleShelf
 from slabcell.service.event_feed import EventFeed
@@ -22,7 +24,9 @@ from slabcell.service.frames import FrameStore
 from slabcell.service.history import History
 from slabcell.service.ledger_view import LedgerView
 from slabcell.service.links import Links
+from slabcell.service.pictures import Pictures
 from slabcell.service.robot_watch import RobotWatch
+from slabcell.service.studio import Studio
 from slabcell.template import Template
 from slabcell_drivers.camera.protocol import CameraInfo
 from slabcell_drivers.camera.simulated import SimulatedCamera
@@ -61,6 +65,12 @@ async def api(tmp_path: Path) -> AsyncIterator[ApiContext]:
     async with open_cell(make_parts(), camera, tmp_path) as (cell, _):
         unsubscribe = cell.subscribe(feed.see)
         view = LedgerView(tmp_path / "ledger.sqlite")
+        bundles = BundleShelf(tmp_path / "bundles")
+        studio = Studio(Workbench(), Pictures(frames, bundles, history))
+        recipes = tmp_path / "recipes"
+        recipes.mkdir()
+        (recipes / "squares.csv").write_text("0,0,30,0,30,30,0,30\n")
+        (recipes / "squares.toml").write_text('[template]\nfile = "squares.csv"\nthickness_mm = 10.0\n')
         context = ApiContext(
             name="test",
             started_s=0.0,
@@ -72,12 +82,17 @@ async def api(tmp_path: Path) -> AsyncIterator[ApiContext]:
             ring=ring,
             seats=StreamSeats(2),
             frames=frames,
-            bundles=BundleShelf(tmp_path / "bundles"),
+            bundles=bundles,
+            studio=studio,
+            recipes=RecipeShelf(recipes / "squares.toml", tmp_path),
         )
         path = tmp_path / "api.sock"
         async with serve(make_app(context), listen(path, mode=0o660, group=None), path):
+            unwatch = cell.subscribe(studio.bench.see)
             yield context
             ring.close()
+            unwatch()
+        await studio.close()
         await view.close()
         unsubscribe()
     await frames.close()

@@ -1,0 +1,95 @@
+"""`slabcell vision`: what would the running cell's vision make of a picture with other parameters?"""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from slabcell.cli.talk import AsJson, Socket, client, print_json, read_file, write_file
+from slabcell.service.api.client import ApiClient
+
+__all__ = ["chosen_picture", "vision_app"]
+
+vision_app = typer.Typer(no_args_is_help=True)
+
+PictureName = Annotated[
+    str, typer.Option("--picture", metavar="PICTURE", help="latest, cycle:NUMBER, or a PNG, JPEG or TIFF file.")
+]
+
+
+@vision_app.callback()
+def _group() -> None:
+    """Try parameters of the vision on a running cell."""
+
+
+@vision_app.command("preview")
+def preview_command(
+    recipe: Annotated[
+        Path | None, typer.Option("--recipe", metavar="FILE", help="Parameters to try, as a recipe file has them.")
+    ] = None,
+    base: Annotated[
+        str | None, typer.Option("--base", metavar="NAME", help="The cell's recipe that they are over.")
+    ] = None,
+    picture: PictureName = "latest",
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Write what the vision passed by into this folder.")
+    ] = None,
+    socket: Socket = None,
+    *,
+    everywhere: Annotated[bool, typer.Option("--everywhere", help="Look beyond the pick area.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Run the vision on a picture, with parameters that are not active.  Nothing changes in the cell.
+
+    Exit code 1 if the picture is refused.
+    """
+    api = client(socket)
+    body: dict[str, Any] = {"picture": chosen_picture(api, picture), "everywhere": everywhere, "base": base}
+    if recipe is not None:
+        body["toml"] = read_file(recipe).decode("utf-8", "replace")
+    done = api.post("/v1/vision/preview", body)
+    written = _write(api, done, out) if out is not None else []
+    if as_json:
+        print_json({**done, "files": written})
+    else:
+        _show(done)
+        for name in written:
+            typer.echo(name)
+    if done["refusal"]:
+        raise typer.Exit(1)
+
+
+def chosen_picture(api: ApiClient, name: str) -> str:
+    """Return how the daemon calls a picture; a file is uploaded."""
+    if name == "latest" or name.startswith(("cycle:", "upload:")):
+        return name
+    return str(api.send("/v1/vision/pictures", read_file(Path(name)), "image/png")["picture"])
+
+
+def _write(api: ApiClient, done: dict[str, Any], out: Path) -> list[str]:
+    files: list[str] = []
+    for buffer in done["buffers"]:
+        path = out / buffer["name"]
+        write_file(path, api.fetch(buffer["path"]).content)
+        files.append(str(path))
+    return files
+
+
+def _show(done: dict[str, Any]) -> None:
+    located = done["located"]
+    if located is None:
+        typer.echo(f"{done['picture']}: refused: {done['refusal']}")
+        return
+    table = Table("slot", "score", "residual mm", "pick x mm", "pick y mm", "pick a °")
+    for part in located["parts"]:
+        pick = part["pick"]
+        numbers = (part["score"], part["residual_mm"], pick["x_mm"], pick["y_mm"], pick["a_deg"])
+        table.add_row(str(part["slot"]), *(f"{number:.3f}" for number in numbers))
+    Console().print(table)
+    for blob in located["rejected"]:
+        typer.echo(f"refused at {blob['image']['u']:.0f}, {blob['image']['v']:.0f}: {blob['reason']}: {blob['detail']}")
+    typer.echo(f"{done['recipe']}: {done['segmentation']}")
+    stages = ", ".join(f"{name} {value:.1f}" for name, value in located["timing_ms"].items())
+    typer.echo(f"milliseconds on the bench, at low priority: {stages}")

@@ -1,0 +1,14 @@
+"""What can the bench be asked for?"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from slabcell.service.bench.preview import preview
+from slabcell.service.bench.work import Task, Work
+
+__all__ = ["TASKS", "Work"]
+
+TASKS: Final[dict[str, Task]] = {
+    "preview": preview,
+}
