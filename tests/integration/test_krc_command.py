@@ -168,3 +168,35 @@ def test_the_command_of_the_shell_does_the_same(project):
     done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
     assert done.returncode == 0
     assert "2 files, 0 errors, 0 warnings" in done.stdout
+
+
+ASKING = """DEF ask()
+INT first,second
+MsgDialog(first,"Which side?","demo",,"Left","Right")
+MsgDialog(second,"Sure?","demo",,"Yes","No")
+IF (first==7) AND (second==6) THEN
+MsgNotify("left, but not sure","demo")
+ENDIF
+END
+"""
+
+
+def test_dialogs_are_answered_from_the_command_line_by_text_or_number(slabcell, tmp_path):
+    (tmp_path / "ask.src").write_text(ASKING)
+    done = slabcell("krc", "run", "ask", "--project", tmp_path, "--answer", "left", "--answer", "6")
+    assert done.returncode == 0, done.stderr
+    assert "left, but not sure" in done.stdout
+
+
+def test_an_answer_that_the_dialog_does_not_have_is_wrong_usage_and_names_those_it_has(slabcell, tmp_path):
+    (tmp_path / "ask.src").write_text(ASKING)
+    done = slabcell("krc", "run", "ask", "--project", tmp_path, "--answer", "up")
+    assert done.returncode == 2
+    assert "--answer up: the dialog 'Which side?' has the softkeys 6 Right, 7 Left" in done.stderr
+
+
+def test_a_dialog_without_an_answer_stands_and_is_named_at_the_time_limit(slabcell, tmp_path):
+    (tmp_path / "ask.src").write_text(ASKING)
+    done = slabcell("krc", "run", "ask", "--project", tmp_path, "--answer", "left", "--timeout", "0.5")
+    assert done.returncode == 1
+    assert "the dialog 'Sure?' was not answered" in done.stdout

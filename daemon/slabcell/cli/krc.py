@@ -2,6 +2,7 @@
 
 import json
 import threading
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -12,6 +13,7 @@ from slabcell.errors import SlabcellError, UsageError
 from slabcell_drivers.krc import KrlError, RunResult, SoftwareKrc, TraceEvent, read_project
 from slabcell_drivers.krc.motion import Trajectory
 from slabcell_drivers.krc.path_picture import draw_path, segment_of
+from slabcell_drivers.krc.smartpad import ShownMessage
 from slabcell_drivers.robot.arm import ArmModel, arm_by_name
 from slabcell_drivers.robot.machine_data import MachineDataError, parse_machine_data
 
@@ -45,6 +47,10 @@ def run(
     assignments: Annotated[
         list[str] | None, typer.Option("--set", help="Assignment in KRL before the start: TOOL_DATA[1]={Z 200,…}")
     ] = None,
+    answers: Annotated[
+        list[str] | None,
+        typer.Option("--answer", help="Answer to the next dialog: number or text of a softkey; once for each dialog"),
+    ] = None,
     keep: Annotated[
         Path | None, typer.Option("--keep", help="Folder for the data lists as they are at the end")
     ] = None,
@@ -61,6 +67,7 @@ def run(
         raise UsageError(msg)
     recorder = _Recorder(_wanted(trace), echo=not as_json)
     moves: list[Trajectory] = []
+    operator = _Operator(answers or ())
     with SoftwareKrc(
         read_project(project),
         robot=_robot(robot),
@@ -70,10 +77,12 @@ def run(
         speed=_speed(speed),
         trace=recorder.take,
         trace_kinds=recorder.kinds,
+        dialog=operator.answer,
         on_trajectory=moves.append if picture is not None else None,
     ) as krc:
         for assignment in assignments or ():
             _assign(krc, assignment)
+        operator.gives_up = krc.cancel
         result = _run(krc, program, timeout_s)
         if picture is not None:
             _write(picture, draw_path([segment_of(move) for move in moves], title=program).encode())
@@ -81,6 +90,8 @@ def run(
             for name, content in krc.data_files().items():
                 _write(keep / name, content)
         _report(krc, result, recorder, as_json=as_json)
+    if operator.problem:
+        raise UsageError(operator.problem)
     if result.status != "done":
         raise typer.Exit(1)
 
@@ -133,6 +144,30 @@ def _report(krc: SoftwareKrc, result: RunResult, recorder: "_Recorder", *, as_js
     where = f" in {result.file}, line {result.line}" if result.file else ""
     text = f": {result.message_number} {result.message}{where}" if result.message else ""
     typer.echo(f"{result.status}{text}; {result.virtual_time_s:.2f} s of the robot, {result.statements} statements")
+
+
+class _Operator:
+    """Answers the dialogs of a program with what the command line gave, one after another; then lets them stand."""
+
+    def __init__(self, answers: Sequence[str]) -> None:
+        self._answers = list(answers)
+        self.gives_up: Callable[[], None] = lambda: None
+        self.problem = ""
+
+    def answer(self, message: ShownMessage) -> int:
+        """Return the number of the softkey, 0 to let the dialog stand."""
+        if not self._answers or self.problem:
+            return 0
+        wanted = self._answers[0].strip()
+        keys = {text.strip().upper(): number for number, text in enumerate(message.softkeys, start=1) if text.strip()}
+        number = keys.get(wanted.upper(), int(wanted) if wanted.isdigit() else 0)
+        if number not in keys.values():
+            shown = ", ".join(f"{number} {message.softkeys[number - 1].strip()}" for number in sorted(keys.values()))
+            self.problem = f"--answer {wanted}: the dialog {message.text!r} has the softkeys {shown or 'none'}"
+            self.gives_up()
+            return 0
+        del self._answers[0]
+        return number
 
 
 class _Recorder:

@@ -7,6 +7,7 @@ from slabcell_drivers.krc.code import Activation, Function, Pause
 from slabcell_drivers.krc.emitter import StatementEmitter
 from slabcell_drivers.krc.messages import KrlError, RunMessage
 from slabcell_drivers.krc.motion_orders import MoveOrder, PathOrder, TriggerOrder
+from slabcell_drivers.krc.motion_settings import applied
 from slabcell_drivers.krc.syntax import Expr, Index, Member, Motion, Name, Spline, SplineCondition, Trigger
 
 __all__ = ["compile_motion", "compile_path_order", "compile_spline", "compile_trigger"]
@@ -38,7 +39,7 @@ def compile_motion(compiler: StatementEmitter, node: Motion) -> None:
         if not runner.has_room:
             a.pc -= 1
             return _NO_ROOM
-        with runner.settings([(place(a), value(a)) for place, value, _ in settings]):
+        with applied([(place(a), value(a)) for place, value, _ in settings]):
             runner.move(
                 MoveOrder(
                     kind=kind,

@@ -23,7 +23,7 @@ from slabcell_drivers.krc.kernel import STATEMENT_S, Hooks, Kernel
 from slabcell_drivers.krc.loading import load_predefined, load_sources, read_project, stem_of
 from slabcell_drivers.krc.messages import KrlError, RunMessage
 from slabcell_drivers.krc.motion import Trajectory
-from slabcell_drivers.krc.motion_runner import Move
+from slabcell_drivers.krc.motion_move import Move
 from slabcell_drivers.krc.parser import parse
 from slabcell_drivers.krc.run_values import CellIo, RunResult, TraceEvent
 from slabcell_drivers.krc.scope import ModuleScope
@@ -167,6 +167,8 @@ class SoftwareKrc:
                     result = self._result("done", 0, "")
                 elif time.monotonic() >= deadline:
                     text = f"the program did not end within {max_wall_s:g} s"
+                    if (dialog := kernel.messages.open_dialog) is not None:
+                        text += f"; the dialog {dialog.text!r} was not answered"
                     result = self._result("deadline", RunMessage.DEADLINE, text)
                 else:
                     kernel.tick(pause)

@@ -7,7 +7,7 @@ from slabcell_drivers.krc.clock import Clock
 from slabcell_drivers.krc.messages import KrlError, RunMessage
 from slabcell_drivers.krc.values import Value, text_of
 
-__all__ = ["Bits", "Flags", "InputsOutputs", "Timers"]
+__all__ = ["IO_COUNT", "Bits", "Flags", "InputsOutputs", "Timers"]
 
 IO_COUNT = 8192
 FLAG_COUNT = 1024

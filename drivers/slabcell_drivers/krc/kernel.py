@@ -27,9 +27,10 @@ from slabcell_drivers.krc.interpreter import Interpreter
 from slabcell_drivers.krc.io_state import InputsOutputs
 from slabcell_drivers.krc.messages import KrlError, RunMessage
 from slabcell_drivers.krc.motion import INTERPOLATION_TICK_S
+from slabcell_drivers.krc.motion_move import Move
 from slabcell_drivers.krc.motion_orders import TriggerOrder
 from slabcell_drivers.krc.motion_planner import MotionPlanner
-from slabcell_drivers.krc.motion_runner import MotionRunner, Move
+from slabcell_drivers.krc.motion_runner import MotionRunner
 from slabcell_drivers.krc.parser import parse
 from slabcell_drivers.krc.scope import Project
 from slabcell_drivers.krc.smartpad import MessageWindow, ShownMessage
@@ -98,6 +99,8 @@ class Kernel:
             lambda: self.motion.tool,
             lambda: self.motion.base,
             lambda: self.motion.is_moving,
+            lambda: self.motion.axis_rates_deg_s,
+            lambda: self.motion.tcp_speed_m_s,
         )
         self.system = SystemVariables(self.io, self.clock, state, self._predefined_type)
         self.project = Project(self.system, BUILTINS)

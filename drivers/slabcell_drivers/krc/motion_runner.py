@@ -5,54 +5,29 @@ them out tick by tick.  An approximated motion passes into the next one by super
 out, the start of the next is added to it.
 """
 
+import math
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
 
 from slabcell_drivers.krc.cells import Place
 from slabcell_drivers.krc.clock import Clock
 from slabcell_drivers.krc.code import Activation, Pause
 from slabcell_drivers.krc.messages import KrlError, RunMessage
-from slabcell_drivers.krc.motion import Trajectory
 from slabcell_drivers.krc.motion_block import plan_block, stops_of
-from slabcell_drivers.krc.motion_hold import PathHold, PathStop
+from slabcell_drivers.krc.motion_hold import PathHold
+from slabcell_drivers.krc.motion_move import HeldMoves, Move
 from slabcell_drivers.krc.motion_orders import MoveOrder, PathOrder, TriggerOrder
 from slabcell_drivers.krc.motion_planner import MotionPlanner, Planned
-from slabcell_drivers.krc.values import Value, copy_value
+from slabcell_drivers.krc.motion_settings import applied
+from slabcell_drivers.krc.values import Value
 from slabcell_drivers.robot.arm import Axes
 from slabcell_drivers.robot.frame import Frame
 
-__all__ = ["MotionRunner", "Move"]
+__all__ = ["MotionRunner"]
 
 BRAKE_S = 0.2
 FAST_BRAKE_S = 0.1
-
-
-@dataclass(slots=True)
-class Move:
-    """One planned motion."""
-
-    order: MoveOrder
-    trajectory: Trajectory
-    tool: Frame
-    base: Frame
-    approximated: bool
-    blend_s: float = 0.0
-    elapsed_s: float = 0.0
-    triggers: list[tuple[float, TriggerOrder]] = field(default_factory=list[tuple[float, TriggerOrder]])
-    stops: list[PathStop] = field(default_factory=list[PathStop])
-
-
-@dataclass(slots=True)
-class _Held:
-    """What was interrupted by a motion within an interrupt routine."""
-
-    axes: Axes
-    active: Move | None
-    fading: Move | None
-    queue: deque[Move]
-    planned: Axes
+_RATE_OVER_S = 0.004
 
 
 class MotionRunner:
@@ -87,7 +62,7 @@ class MotionRunner:
         self._spline_settings: list[tuple[Place, Value]] = []
         self._path_orders: list[tuple[int, PathOrder]] = []  # of the block, or of the next motion
         self._hold_points = PathHold(ramp_s=BRAKE_S, late=self._stopped_late)
-        self._held: list[_Held] = []
+        self._held: list[HeldMoves] = []
         self.reports_every_step = False
         self.travelled_s = 0.0
 
@@ -148,19 +123,6 @@ class MotionRunner:
         return None
 
     # --- planning -----------------------------------------------------------------------------------------------
-
-    @contextmanager
-    def settings(self, values: Sequence[tuple[Place, Value]]) -> Generator[None]:
-        """Apply what stands behind WITH, for one motion."""
-        before = [(place, copy_value(place.value)) for place, _ in values]
-        for place, value in values:
-            place.set(value)
-        try:
-            yield
-        finally:
-            for place, value in before:
-                if value is not None:
-                    place.set(value)
 
     def move(self, order: MoveOrder) -> None:
         """Plan a motion from where the one before it ends.  Raises KrlError."""
@@ -227,7 +189,7 @@ class MotionRunner:
         if not segments:
             self._path_orders.clear()
             return
-        with self.settings(self._spline_settings):
+        with applied(self._spline_settings):
             planned = plan_block(self.planner, order, segments, self._planned, self._path_orders)
         marks = (0.0, *planned.trajectory.marks_s, planned.trajectory.duration_s)
         last = len(marks) - 2
@@ -302,13 +264,37 @@ class MotionRunner:
     @property
     def axes(self) -> Axes:
         """Where the axes are now."""
+        return self._axes_before(0.0)
+
+    @property
+    def axis_rates_deg_s(self) -> Axes:
+        """How fast each axis turns, over the last milliseconds."""
+        if not self.is_moving:
+            return (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        now, before = self._axes_before(0.0), self._axes_before(_RATE_OVER_S)
+        factor = self._rate * self.planner.override / _RATE_OVER_S
+        a1, a2, a3, a4, a5, a6 = ((n - b) * factor for n, b in zip(now, before, strict=True))
+        return (a1, a2, a3, a4, a5, a6)
+
+    @property
+    def tcp_speed_m_s(self) -> float:
+        """How fast the tool centre point moves, over the last milliseconds."""
+        if not self.is_moving:
+            return 0.0
+        arm, tool = self.planner.arm, self.tool
+        now = (arm.forward(self._axes_before(0.0)) @ tool).as_tuple()[:3]
+        before = (arm.forward(self._axes_before(_RATE_OVER_S)) @ tool).as_tuple()[:3]
+        return math.dist(now, before) * self._rate * self.planner.override / (1000.0 * _RATE_OVER_S)
+
+    def _axes_before(self, seconds: float) -> Axes:
+        """Return where the axes were on their plan, so long before now."""
         active, fading = self._active, self._fading
         if active is None:
             return self._standing
-        now = active.trajectory.axes_at(active.elapsed_s)
+        now = active.trajectory.axes_at(active.elapsed_s - seconds)
         if fading is None:
             return now
-        rest, end = fading.trajectory.axes_at(fading.elapsed_s), fading.trajectory.end_axes
+        rest, end = fading.trajectory.axes_at(fading.elapsed_s - seconds), fading.trajectory.end_axes
         return (
             now[0] + rest[0] - end[0],
             now[1] + rest[1] - end[1],
@@ -330,7 +316,7 @@ class MotionRunner:
     def _hold(self) -> None:
         """Put what was braked aside, for the motions of an interrupt routine."""
         self._standing = self.axes
-        self._held.append(_Held(self._standing, self._active, self._fading, self._queue, self._planned))
+        self._held.append(HeldMoves(self._standing, self._active, self._fading, self._queue, self._planned))
         self._active, self._fading, self._queue = None, None, deque()
         self._planned = self.axes
         self._rate, self._rate_change = 1.0, 0.0

@@ -89,6 +89,11 @@ class MessageWindow:
         del self._open[handle]
         return key
 
+    @property
+    def open_dialog(self) -> ShownMessage | None:
+        """The dialog that waits longest for its answer."""
+        return next((message for message in self._open.values() if message.kind == "DIALOG"), None)
+
     def acknowledge_all(self) -> None:
         """Take away every message that an operator can acknowledge."""
         self._open = {h: m for h, m in self._open.items() if m.kind != "QUIT"}

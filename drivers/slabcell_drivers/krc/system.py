@@ -6,11 +6,12 @@ A name not listed here becomes a variable of any type when it is first used: the
 
 import datetime
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 from slabcell_drivers.krc.cells import Cell, ComputedCell, Place, Trait
 from slabcell_drivers.krc.clock import Clock
-from slabcell_drivers.krc.io_state import InputsOutputs
+from slabcell_drivers.krc.io_state import IO_COUNT, InputsOutputs
 from slabcell_drivers.krc.messages import KrlError, RunMessage
 from slabcell_drivers.krc.motion_planner import AXIS_FIELDS
 from slabcell_drivers.krc.operators import set_frame
@@ -38,6 +39,7 @@ _TIME = frozenset({Trait.TIME})
 _STOP_AND_TIME = _STOP | _TIME
 
 _NO_STOP: frozenset[Trait] = frozenset()
+HOME_TOLERANCE_DEG = 1.0
 POSITION_TRAITS = _NO_STOP
 """Reading $POS_ACT or $AXIS_ACT does not stop the advance run here, so that a missing WAIT SEC 0 shows; on a controller
 it may (the public sources contradict each other)."""
@@ -53,16 +55,40 @@ class ArmState:
         tool: Callable[[], Frame],
         base: Callable[[], Frame],
         is_moving: Callable[[], bool],
+        axis_rates_deg_s: Callable[[], Axes],
+        tcp_speed_m_s: Callable[[], float],
     ) -> None:
         self.arm = arm
         self.axes = axes
         self.tool = tool
         self.base = base
         self.is_moving = is_moving
+        self.axis_rates_deg_s = axis_rates_deg_s
+        self.tcp_speed_m_s = tcp_speed_m_s
 
     def tcp_in_base(self) -> Frame:
         """Return the tool centre point in the base of the main run."""
         return self.base().inverse() @ self.arm.forward(self.axes()) @ self.tool()
+
+
+class _ComputedArray:
+    """An array of the system that is computed on reading."""
+
+    def __init__(self, name: str, read: Callable[[], Sequence[float]]) -> None:
+        self._name = name
+        self._read = read
+
+    def get(self, indices: tuple[Value, ...]) -> Value:
+        """Return an element.  Raises KrlError beyond its size."""
+        values = self._read()
+        if len(indices) != 1 or type(indices[0]) is not int or not 1 <= indices[0] <= len(values):
+            raise KrlError(RunMessage.INDEX, f"{self._name}: the index is not in 1 to {len(values)}")
+        return float(values[indices[0] - 1])
+
+    def set(self, indices: tuple[Value, ...], value: Value) -> None:
+        """Refuse."""
+        del indices, value
+        raise KrlError(RunMessage.READ_ONLY, f"{self._name} is write-protected")
 
 
 class SystemVariables:
@@ -169,6 +195,31 @@ class SystemVariables:
 
         self._computed("$TOOL_C", self._struct("FRAME"), frame(state.tool))
         self._computed("$BASE_C", self._struct("FRAME"), frame(state.base))
+        self._add_speeds()
+
+    def _add_speeds(self) -> None:
+        state = self._state
+        no_external = (0.0,) * 6
+
+        def rates_percent() -> Sequence[float]:
+            rates, full = state.axis_rates_deg_s(), state.arm.axis_speed_deg_s
+            return (*(100.0 * rate / limit for rate, limit in zip(rates, full, strict=True)), *no_external)
+
+        self._computed("$VEL_ACT", REAL, state.tcp_speed_m_s)
+        self._holding("$VEL_AXIS_ACT", _ComputedArray("$VEL_AXIS_ACT", rates_percent))
+        self._computed("$IN_HOME", BOOL, self._is_home, traits=_STOP)
+
+    def _is_home(self) -> bool:
+        """Tell whether every axis is within 1 degree of $H_POS: on a controller $H_POS_TOL says how near is near."""
+        home = self.read("$H_POS")
+        if not isinstance(home, StructValue):
+            return False
+        pairs = [(home.fields.get(name), now) for name, now in zip(AXIS_FIELDS, self._state.axes(), strict=True)]
+        return all(wanted is not None and abs(float(wanted) - now) <= HOME_TOLERANCE_DEG for wanted, now in pairs)
+
+    def _is(self, name: str, constant: str) -> bool:
+        value = self.read(name)
+        return isinstance(value, EnumConstant) and value.name == constant
 
     def _add_settings(self) -> None:
         frame = self._struct("FRAME")
@@ -199,6 +250,9 @@ class SystemVariables:
         self._variable("$ACT_BASE_C", INT, 0)
         self._variable("$ACT_EX_AX", INT, 0)
         self._variable("$NUM_AX", INT, 6)
+        self._variable("$NUM_IN", INT, IO_COUNT)
+        self._variable("$NUM_OUT", INT, IO_COUNT)
+        self._variable("$FILTER", INT, 0)
         self._variable("$EX_AX_NUM", INT, 0)
         self._variable("$KINCLASS", None, EnumConstant("STANDARD"))
         self._variable("$ADAP_ACC", None, EnumConstant("NONE"))
@@ -212,14 +266,22 @@ class SystemVariables:
         for name in ("$PERI_RDY", "$DRIVES_ON", "$USER_SAF", "$ALARM_STOP", "$MOVE_ENABLE", "$I_O_ACT", "$ON_PATH"):
             self._variable(name, BOOL, value=True, traits=_STOP)
         self._variable("$NEAR_POSRET", BOOL, value=True)
-        for name in ("$STOPMESS", "$IN_HOME", "$EXT", "$AUX_POWER"):
+        for name, mode in (("$T1", "T1"), ("$T2", "T2"), ("$AUT", "AUT"), ("$EXT", "EX")):
+            self._computed(name, BOOL, partial(self._is, "$MODE_OP", mode), traits=_STOP)
+        for name in ("$STOPMESS", "$AUX_POWER", "$POWER_FAIL", "$MOVE_BCO"):
             self._variable(name, BOOL, value=False)
+        for name in ("$DRIVES_ENABLE", "$ALARM_STOP_INTERN", "$COULD_START_MOTION", "$I_O_ACTCONF"):
+            self._variable(name, BOOL, value=True)
         self._variable("$PRO_STATE0", None, EnumConstant("P_ACTIVE"))
         self._variable("$PRO_STATE1", None, EnumConstant("P_FREE"))
         self._variable("$PRO_STATE", None, EnumConstant("P_FREE"))
         self._variable("$PRO_MODE", None, EnumConstant("GO"))
+        self._computed("$PRO_MOVE", BOOL, state.is_moving, traits=_STOP)
+        self._computed("$PRO_ACT", BOOL, lambda: self._is("$PRO_STATE1", "P_ACTIVE"), traits=_STOP)
         self._variable("$PRO_NAME", ArrayType(CHAR, (24,)))
         self._variable("$PRO_NAME1", ArrayType(CHAR, (24,)))
+        self._variable("$ROBNAME", ArrayType(CHAR, (24,)), state.arm.name[:24])
+        self._variable("$ROBTRAFO", ArrayType(CHAR, (32,)), f"#{state.arm.name.upper()}"[:32])
         self._variable("$ERR", self._struct("ERROR_T"))
         self.clear_error()
         self._variable("$KR_SERIALNO", INT, 0)
