@@ -1,14 +1,16 @@
 """How do motions, spline blocks and triggers become operations?"""
 
+from collections.abc import Callable, Sequence
 from functools import partial
 
-from slabcell_drivers.krc.cells import Trait
+from slabcell_drivers.krc.cells import Place, Trait
 from slabcell_drivers.krc.code import Activation, Function, Pause
 from slabcell_drivers.krc.emitter import StatementEmitter
 from slabcell_drivers.krc.messages import KrlError, RunMessage
 from slabcell_drivers.krc.motion_orders import MoveOrder, PathOrder, TriggerOrder
 from slabcell_drivers.krc.motion_settings import applied
 from slabcell_drivers.krc.syntax import Expr, Index, Member, Motion, Name, Spline, SplineCondition, Trigger
+from slabcell_drivers.krc.values import Value
 
 __all__ = ["compile_motion", "compile_path_order", "compile_spline", "compile_trigger"]
 
@@ -21,6 +23,14 @@ def _root_name(node: Expr) -> str:
     return node.name if isinstance(node, Name) else ""
 
 
+def _settings(
+    compiler: StatementEmitter, pairs: Sequence[tuple[Expr, Expr]]
+) -> Callable[[Activation], tuple[tuple[str, Place, Value], ...]]:
+    """Return what evaluates the settings behind WITH."""
+    parts = [(_root_name(target), compiler.place(target), compiler.expr(value)[0]) for target, value in pairs]
+    return lambda a: tuple((name, place(a), value(a)) for name, place, value in parts)
+
+
 def compile_motion(compiler: StatementEmitter, node: Motion) -> None:
     """Emit one motion: an operation that plans it as soon as the advance run has room for it."""
     if not compiler.interpreter.may_move:
@@ -29,9 +39,8 @@ def compile_motion(compiler: StatementEmitter, node: Motion) -> None:
         raise KrlError(RunMessage.NOT_TAUGHT, f"{node.kind} !: this point was never taught")
     points = [compiler.expr(point)[0] for point in node.points]
     angle = compiler.expr(node.angle)[0] if node.angle is not None else None
-    settings = [(compiler.place(t), compiler.expr(v)[0], _root_name(t)) for t, v in node.settings]
+    settings = _settings(compiler, node.settings)
     runner = compiler.interpreter.motion
-    names = frozenset(name for _, _, name in settings)
     kind, approximation, reference = node.kind, node.approximation, node.reference
     file, line = compiler.code.file, node.place.line
 
@@ -39,7 +48,8 @@ def compile_motion(compiler: StatementEmitter, node: Motion) -> None:
         if not runner.has_room:
             a.pc -= 1
             return _NO_ROOM
-        with applied([(place(a), value(a)) for place, value, _ in settings]):
+        given = settings(a)
+        with applied(given):
             runner.move(
                 MoveOrder(
                     kind=kind,
@@ -47,7 +57,7 @@ def compile_motion(compiler: StatementEmitter, node: Motion) -> None:
                     angle_deg=None if angle is None else angle(a),
                     approximation=approximation,
                     reference=reference,
-                    settings=names,
+                    settings=given,
                     file=file,
                     line=line,
                 )
@@ -60,7 +70,7 @@ def compile_motion(compiler: StatementEmitter, node: Motion) -> None:
 
 def compile_spline(compiler: StatementEmitter, node: Spline) -> None:
     """Emit a spline block: its segments pass into each other without a stop."""
-    settings = [(compiler.place(t), compiler.expr(v)[0]) for t, v in node.settings]
+    settings = _settings(compiler, node.settings)
     runner = compiler.interpreter.motion
     order = MoveOrder(node.kind, (), approximation=node.approximation, file=compiler.code.file, line=node.place.line)
 
@@ -68,7 +78,7 @@ def compile_spline(compiler: StatementEmitter, node: Spline) -> None:
         if not runner.has_room:
             a.pc -= 1
             return _NO_ROOM
-        runner.begin_spline([(place(a), value(a)) for place, value in settings])
+        runner.begin_spline(settings(a))
         return None
 
     def end(_: Activation) -> None:

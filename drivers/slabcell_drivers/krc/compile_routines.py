@@ -1,12 +1,14 @@
 """How does a routine become operations?  Variables, statements, and what interrupts and triggers do."""
 
 from collections.abc import Sequence
+from functools import partial
 
 from slabcell_drivers.krc.cells import Trait
 from slabcell_drivers.krc.code import Activation, Code, Function, Pause
 from slabcell_drivers.krc.compile_blocks import BlockCompiler
 from slabcell_drivers.krc.compile_expressions import describe
 from slabcell_drivers.krc.compile_motion import compile_motion, compile_path_order, compile_spline, compile_trigger
+from slabcell_drivers.krc.cyclic_value import CyclicOptions, CyclicValue
 from slabcell_drivers.krc.jumps import failing, jump_to
 from slabcell_drivers.krc.machine import Machine
 from slabcell_drivers.krc.messages import KrlError, RunMessage
@@ -342,8 +344,21 @@ class RoutineCompiler(BlockCompiler):
     def _analog(self, statement: Analog) -> None:
         """ANIN and ANOUT: a value that follows its expression once every tick, from ON to OFF."""
         target = self.place(statement.target)
-        function = None
-        if statement.verb == "ON" and statement.value is not None:
-            function = self._cyclic(statement.value, RunMessage.NOT_SUPPORTED)
         machine = self.interpreter
-        self.emit_synchronized(lambda a: machine.assign_cyclically(target(a), function, a))
+        if statement.verb != "ON" or statement.value is None:
+            self.emit_synchronized(lambda a: machine.assign_cyclically(target(a), None))
+            return
+        function = self._cyclic(statement.value, RunMessage.NOT_SUPPORTED)
+        options = {name: self.expr(value)[0] for name, value in statement.options}
+
+        def option(name: str, a: Activation) -> float | None:
+            return float(options[name](a)) if name in options else None
+
+        def begin(a: Activation) -> None:
+            delay_s = option("DELAY", a) or 0.0
+            if delay_s < 0.0:
+                raise KrlError(RunMessage.NOT_SUPPORTED, f"{statement.kind} ON with DELAY={delay_s:g}, before its time")
+            given = CyclicOptions(delay_s, option("MINIMUM", a), option("MAXIMUM", a))
+            machine.assign_cyclically(target(a), CyclicValue(partial(function, a), machine.clock, given))
+
+        self.emit_synchronized(begin)

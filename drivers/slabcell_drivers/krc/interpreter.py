@@ -6,6 +6,7 @@ from slabcell_drivers.krc.cells import Cell, Place
 from slabcell_drivers.krc.clock import Clock
 from slabcell_drivers.krc.code import Activation, Code, Function, InterruptEntry, Pause
 from slabcell_drivers.krc.compile_routines import RoutineCompiler
+from slabcell_drivers.krc.cyclic_value import CyclicValue
 from slabcell_drivers.krc.host import Host
 from slabcell_drivers.krc.interrupts import Interrupts
 from slabcell_drivers.krc.messages import KrlError, RunMessage
@@ -50,7 +51,7 @@ class Interpreter:
         self._codes: dict[int, Code] = {}
         self._routines: list[Routine] = []  # kept alive, so that an id stands for one routine
         self._cycflags: dict[int, tuple[Function, Activation]] = {}
-        self._assignments: dict[int, tuple[Place, Function, Activation]] = {}
+        self._assignments: dict[int, tuple[Place, CyclicValue]] = {}
         self._proceed: tuple[Activation, list[int]] | None = None
         self._braking = False
         self._is_evaluating = False  # a condition beside the program
@@ -240,8 +241,9 @@ class Interpreter:
         """Begin to serve the most important interrupt whose condition has become true."""
         for number, (function, activation) in self._cycflags.items():
             self.host.io.flags.cycflags[number] = function(activation) is True
-        for target, value, activation in self._assignments.values():
-            target.set(value(activation))
+        for target, cyclic in self._assignments.values():
+            if (value := cyclic.now()) is not None:
+                target.set(value)
         if self.stack and self.interrupts:
             entry = self.interrupts.due(self.served_priority)
             if entry is not None:
@@ -291,13 +293,14 @@ class Interpreter:
         self._braking = False
         self.motion.discard()
 
-    def assign_cyclically(self, target: Place, function: Function | None, activation: Activation) -> None:
+    def assign_cyclically(self, target: Place, cyclic: CyclicValue | None) -> None:
         """Store a value once every tick from now on; None ends it."""
-        if function is None:
+        if cyclic is None:
             self._assignments.pop(id(target), None)
             return
-        self._assignments[id(target)] = (target, function, activation)
-        target.set(function(activation))
+        self._assignments[id(target)] = (target, cyclic)
+        if (value := cyclic.now()) is not None:
+            target.set(value)
 
     def set_cycflag(self, number: Value, function: Function, activation: Activation) -> None:
         """Evaluate a cyclic flag from now on, once every tick."""

@@ -5,6 +5,7 @@ from typing import Protocol
 from slabcell_drivers.krc.cells import Place
 from slabcell_drivers.krc.clock import Clock
 from slabcell_drivers.krc.code import Activation, Code, Function, Pause
+from slabcell_drivers.krc.cyclic_value import CyclicValue
 from slabcell_drivers.krc.host import Host
 from slabcell_drivers.krc.interrupts import Interrupts
 from slabcell_drivers.krc.motion_runner import MotionRunner
@@ -70,7 +71,7 @@ class Machine(Protocol):
         """Leave the interrupt and all routines down to the one that declared it."""
         ...
 
-    def assign_cyclically(self, target: Place, function: Function | None, activation: Activation) -> None:
+    def assign_cyclically(self, target: Place, cyclic: CyclicValue | None) -> None:
         """Store a value once every tick from now on; None ends it."""
         ...
 

@@ -7,7 +7,7 @@ Simplifications against the controller: trapezoidal speed (no jerk limit), all a
 a path turned about one fixed axis, accelerations assumed (see `slabcell_drivers.robot.arm`).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -16,6 +16,7 @@ from slabcell_drivers.krc.motion_check import PoseFollower, between, followed, s
 from slabcell_drivers.krc.motion_error import MotionError, as_motion_error
 from slabcell_drivers.krc.motion_path import Arc, Line, OrientedPath, PosePath, flange_of
 from slabcell_drivers.krc.motion_profile import Trapezoid
+from slabcell_drivers.krc.motion_steps import Section, SpeedSteps
 from slabcell_drivers.robot.arm import ArmError, ArmModel, Axes
 from slabcell_drivers.robot.arm_solve import Pose, pose_of_frame
 from slabcell_drivers.robot.frame import Frame
@@ -177,10 +178,20 @@ def tcp_pose(arm: ArmModel, axes: Axes, tool: Frame) -> Pose:
 
 
 def plan_path(
-    arm: ArmModel, kind: MotionKind, start: Axes, path: PosePath, limits: PathLimits, tool: Frame
+    arm: ArmModel,
+    kind: MotionKind,
+    start: Axes,
+    path: PosePath,
+    limits: PathLimits,
+    tool: Frame,
+    *,
+    sections: Sequence[PathLimits] = (),
 ) -> Trajectory:
-    """Return the move of the tool centre point along any path, checked along all of it.  Raises MotionError."""
-    profile = _path_profile(path.length_mm, path.angle_deg, limits)
+    """Return the move of the tool centre point along any path, checked along all of it.  Raises MotionError.
+
+    ``sections`` has limits of their own for the ways from mark to mark, if they are not ``limits`` everywhere.
+    """
+    profile = _path_profile(path, limits, sections)
     if profile.duration_s == 0.0:  # there already: no rounding may make a motion of it
         return Trajectory(arm, kind, start, start, 0.0, lambda _: start, tool=tool)
     tool_inverse = pose_of_frame(tool.inverse())
@@ -212,8 +223,26 @@ def plan_path(
     return Trajectory(arm, kind, start, samples[-1], profile.duration_s, axes_at, profile.ramp_s, tool, marks_s)
 
 
-def _path_profile(length_mm: float, angle_deg: float, limits: PathLimits) -> Trapezoid:
+def _path_profile(path: PosePath, limits: PathLimits, sections: Sequence[PathLimits]) -> Trapezoid | SpeedSteps:
     """Return the profile over the fraction of the path that keeps the limits of both position and orientation."""
+    shares = [_share_limits(path.length_mm, path.angle_deg, each) for each in (limits, *sections)]
+    if shares[0] is None:
+        return Trapezoid.fastest(0.0, 1.0, 1.0)
+    if all(share == shares[0] for share in shares):
+        return Trapezoid.fastest(1.0, *shares[0])
+    ends = (*path.marks, 1.0)
+    lengths = [end - begin for begin, end in zip((0.0, *path.marks), ends, strict=True)]
+    return SpeedSteps.fastest(
+        [
+            Section(length, *share)
+            for length, share in zip(lengths, shares[1:], strict=True)
+            if share is not None  # none is: the path has a length or turns
+        ]
+    )
+
+
+def _share_limits(length_mm: float, angle_deg: float, limits: PathLimits) -> tuple[float, float] | None:
+    """Return speed and acceleration as fractions of the path, None if it has no length and does not turn."""
     for name, value in (
         ("$VEL.CP", limits.speed_m_s),
         ("$ACC.CP", limits.acceleration_m_s2),
@@ -230,9 +259,7 @@ def _path_profile(length_mm: float, angle_deg: float, limits: PathLimits) -> Tra
     if angle_deg > 1e-6:
         speeds.append(limits.turn_speed_deg_s / angle_deg)
         accelerations.append(limits.turn_acceleration_deg_s2 / angle_deg)
-    if not speeds:
-        return Trapezoid.fastest(0.0, 1.0, 1.0)
-    return Trapezoid.fastest(1.0, min(speeds), min(accelerations))
+    return (min(speeds), min(accelerations)) if speeds else None
 
 
 def _check_percent(name: str, percent: float) -> None:

@@ -9,6 +9,7 @@ from slabcell_drivers.krc.motion_hold import PathStop
 from slabcell_drivers.krc.motion_joint_spline import plan_joint_spline
 from slabcell_drivers.krc.motion_orders import MoveOrder, PathOrder
 from slabcell_drivers.krc.motion_planner import MotionPlanner, Planned
+from slabcell_drivers.krc.motion_settings import applied
 from slabcell_drivers.krc.motion_spline import SegmentKind, SplineSegment, plan_spline
 from slabcell_drivers.krc.motion_timing import EvenSpeed, TimeBlock, retimed, speed_remarks
 from slabcell_drivers.krc.values import StructValue
@@ -32,12 +33,12 @@ class _Block:
 def plan_block(
     planner: MotionPlanner, order: MoveOrder, segments: Sequence[MoveOrder], start: Axes, path_orders: PathOrders
 ) -> Planned:
-    """Return the plan of a spline block.  Raises KrlError.  Settings of single segments are those of the block here."""
+    """Return the plan of a spline block.  Raises KrlError."""
     tool, base = planner.frame("$TOOL", needed=True), planner.frame("$BASE", needed=True)
     block = _Block(planner, start, tool, base)
     with planner.controller_errors():
         if order.kind == "PTP_SPLINE":
-            trajectory = _joint_spline(block, segments)
+            trajectory = _joint_spline(block, segments, order.sets)
         else:
             planner.check_first(order.kind)
             trajectory = _path_spline(block, segments)
@@ -62,20 +63,28 @@ def _path_spline(block: _Block, segments: Sequence[MoveOrder]) -> Trajectory:
             block.planner.in_root(segment, p, here, block.tool, block.base, relative=bool(relative))
             for p in segment.points
         ]
+        target = points[-1]
+        with applied(segment.settings):
+            limits = block.planner.limits() if segment.settings else None
+            if block.planner.keeps_orientation:
+                now = block.planner.arm.forward(here) @ block.tool
+                target = Frame(target.x_mm, target.y_mm, target.z_mm, now.a_deg, now.b_deg, now.c_deg)
         found.append(
             SplineSegment(
                 SegmentKind(kind),
-                points[-1],
+                target,
                 auxiliary=points[0] if len(points) > 1 else None,
                 circular_angle_deg=segment.angle_deg,
+                limits=limits,
             )
         )
-        here = block.planner.arm.inverse(points[-1] @ block.tool.inverse(), near=here)
+        here = block.planner.arm.inverse(target @ block.tool.inverse(), near=here)
     return plan_spline(block.planner.arm, block.start, found, block.planner.limits(), tool=block.tool)
 
 
-def _joint_spline(block: _Block, segments: Sequence[MoveOrder]) -> Trajectory:
+def _joint_spline(block: _Block, segments: Sequence[MoveOrder], given: frozenset[str]) -> Trajectory:
     targets: list[Axes] = []
+    percents: list[tuple[float, float]] = []
     for segment in segments:
         target = segment.points[-1]
         if not segment.kind.startswith("SPTP") or not isinstance(target, StructValue):
@@ -85,14 +94,9 @@ def _joint_spline(block: _Block, segments: Sequence[MoveOrder]) -> Trajectory:
         targets.append(
             block.planner.axes_of(target, here, block.tool, block.base, relative=relative, reference=segment.reference)
         )
-    return plan_joint_spline(
-        block.planner.arm,
-        block.start,
-        targets,
-        speed_percent=block.planner.percent("$VEL_AXIS", first_only=False),
-        acceleration_percent=block.planner.percent("$ACC_AXIS", first_only=False),
-        tool=block.tool,
-    )
+        with applied(segment.settings):
+            percents.append(block.planner.percents(given | segment.sets))
+    return plan_joint_spline(block.planner.arm, block.start, targets, percents, tool=block.tool)
 
 
 def _time_block(path_orders: PathOrders) -> TimeBlock | None:

@@ -20,23 +20,26 @@ def plan_joint_spline(
     arm: ArmModel,
     start: Axes,
     targets: Sequence[Axes],
+    percents: Sequence[tuple[float, float]],
     *,
-    speed_percent: float,
-    acceleration_percent: float,
     tool: Frame,
 ) -> Trajectory:
     """Return the move through all targets; ``marks_s`` has the time of each but the last.  Raises MotionError.
 
-    Simplification against the controller: each axis runs on a cubic that stays between its points, and one trapezoid of
-    speed covers the whole block.
+    ``percents`` has for each target the speed and the acceleration that hold on the way to it.
+
+    Simplification against the controller: each axis runs on a cubic that stays between its points, and the same share
+    of what is allowed is kept on the whole block.
     """
     places, points = [0.0], [start]
     reached: list[float] = []
-    for target in targets:
+    shares: list[tuple[float, float]] = []
+    for target, (speed_percent, acceleration_percent) in zip(targets, percents, strict=True):
         leg = plan_ptp(arm, points[-1], target, speed_percent=speed_percent, acceleration_percent=acceleration_percent)
         if leg.duration_s > 0.0:
             places.append(places[-1] + leg.duration_s)
             points.append(target)
+            shares.append((speed_percent / 100.0, acceleration_percent / 100.0))
         reached.append(places[-1])
     if len(points) == 1:
         return Trajectory(arm, MotionKind.SPLINE, start, start, 0.0, lambda _: start, tool=tool)
@@ -46,7 +49,7 @@ def plan_joint_spline(
         a1, a2, a3, a4, a5, a6 = (curve.at(place) for curve in curves)
         return (a1, a2, a3, a4, a5, a6)
 
-    speed, acceleration = _limits(arm, axes_on, places, speed_percent / 100.0, acceleration_percent / 100.0)
+    speed, acceleration = _limits(arm, axes_on, places, shares)
     profile = Trapezoid.fastest(places[-1], speed, acceleration)
 
     def axes_at(time_s: float) -> Axes:
@@ -69,15 +72,14 @@ def _limits(
     arm: ArmModel,
     axes_on: Callable[[float], Axes],
     places: Sequence[float],
-    speed_share: float,
-    acceleration_share: float,
+    shares: Sequence[tuple[float, float]],
 ) -> tuple[float, float]:
     """Return how fast the way may be run, and how fast its speed may change, for every axis to keep its limits.
 
     Half of an axis' acceleration is for the bends of the way, half for the change of the speed along it.
     """
     speed, acceleration = math.inf, math.inf
-    for begin, end in pairwise(places):
+    for (begin, end), (speed_share, acceleration_share) in zip(pairwise(places), shares, strict=True):
         step = (end - begin) / _SAMPLES
         for k in range(1, _SAMPLES):
             before, here, after = (axes_on(begin + step * (k + d)) for d in (-1, 0, 1))

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from slabcell_drivers.krc.cells import Place
 from slabcell_drivers.krc.code import Activation
 from slabcell_drivers.krc.values import Value
 
@@ -18,9 +19,15 @@ class MoveOrder:
     angle_deg: float | None = None
     approximation: tuple[str, ...] = ()
     reference: str = ""
-    settings: frozenset[str] = frozenset()
+    settings: tuple[tuple[str, Place, Value], ...] = ()
+    """What stands behind WITH: the name of the variable, the place and the value."""
     file: str = ""
     line: int = 0
+
+    @property
+    def sets(self) -> frozenset[str]:
+        """The variables that it has settings of its own for."""
+        return frozenset(name for name, _, _ in self.settings)
 
     @classmethod
     def returning(cls) -> "MoveOrder":

@@ -109,6 +109,20 @@ class MotionPlanner:
             values.append(float(value))
         return min(values)
 
+    def percents(self, given: frozenset[str]) -> tuple[float, float]:
+        """Return speed and acceleration of the axes; WITH gives them by the first axis.  Raises KrlError."""
+        speed = self.percent("$VEL_AXIS", first_only="$VEL_AXIS" in given)
+        return speed, self.percent("$ACC_AXIS", first_only="$ACC_AXIS" in given)
+
+    def _orientation_is(self, name: str) -> bool:
+        orientation = self._variables.read("$ORI_TYPE")
+        return isinstance(orientation, EnumConstant) and orientation.name == name
+
+    @property
+    def keeps_orientation(self) -> bool:
+        """Whether $ORI_TYPE is #CONSTANT."""
+        return self._orientation_is("CONSTANT")
+
     def limits(self) -> PathLimits:
         """Return $VEL and $ACC.  Raises KrlError if they were never set."""
         speeds, accelerations = self._variables.read("$VEL"), self._variables.read("$ACC")
@@ -172,9 +186,7 @@ class MotionPlanner:
     def _plan_ptp(
         self, order: MoveOrder, target: StructValue, start: Axes, tool: Frame, base: Frame, *, relative: bool
     ) -> Trajectory:
-        first_only = "$VEL_AXIS" in order.settings and order.kind.startswith("S")
-        speed = self.percent("$VEL_AXIS", first_only=first_only)
-        acceleration = self.percent("$ACC_AXIS", first_only="$ACC_AXIS" in order.settings and first_only)
+        speed, acceleration = self.percents(order.sets if order.kind.startswith("S") else frozenset())
         return plan_ptp(
             self.arm,
             start,
@@ -256,10 +268,9 @@ class MotionPlanner:
                 tool=tool,
                 circular_angle_deg=order.angle_deg,
             )
-        orientation = self._variables.read("$ORI_TYPE")
-        if isinstance(orientation, EnumConstant) and orientation.name == "JOINT":
+        if self._orientation_is("JOINT"):
             return plan_lin_joint(self.arm, start, target, limits, tool=tool)
-        if isinstance(orientation, EnumConstant) and orientation.name == "CONSTANT":
+        if self.keeps_orientation:
             now = self.arm.forward(start) @ tool
             target = Frame(target.x_mm, target.y_mm, target.z_mm, now.a_deg, now.b_deg, now.c_deg)
         return plan_lin(self.arm, start, target, limits, tool=tool)

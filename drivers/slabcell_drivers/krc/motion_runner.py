@@ -8,6 +8,7 @@ out, the start of the next is added to it.
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from slabcell_drivers.krc.cells import Place
 from slabcell_drivers.krc.clock import Clock
@@ -59,7 +60,7 @@ class MotionRunner:
         self._rate_change = 0.0  # per second, while braking
         self._spline: list[MoveOrder] | None = None  # the segments of the block that is being read
         self._spline_triggers: list[tuple[int, TriggerOrder]] = []
-        self._spline_settings: list[tuple[Place, Value]] = []
+        self._spline_settings: Sequence[tuple[str, Place, Value]] = ()
         self._path_orders: list[tuple[int, PathOrder]] = []  # of the block, or of the next motion
         self._hold_points = PathHold(ramp_s=BRAKE_S, late=self._stopped_late)
         self._held: list[HeldMoves] = []
@@ -176,9 +177,9 @@ class MotionRunner:
         """Keep a trigger for the next motion."""
         self._pending.append(trigger)
 
-    def begin_spline(self, values: Sequence[tuple[Place, Value]]) -> None:
-        """Begin a spline block: its settings hold for all its segments."""
-        self._spline_settings = list(values)
+    def begin_spline(self, values: Sequence[tuple[str, Place, Value]]) -> None:
+        """Begin a spline block: its settings hold for all its segments that have none of their own."""
+        self._spline_settings = values
         self._spline = []
         self._path_orders.clear()
 
@@ -190,6 +191,7 @@ class MotionRunner:
             self._path_orders.clear()
             return
         with applied(self._spline_settings):
+            order = replace(order, settings=tuple(self._spline_settings))
             planned = plan_block(self.planner, order, segments, self._planned, self._path_orders)
         marks = (0.0, *planned.trajectory.marks_s, planned.trajectory.duration_s)
         last = len(marks) - 2

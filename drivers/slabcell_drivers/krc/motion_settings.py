@@ -10,10 +10,10 @@ __all__ = ["applied"]
 
 
 @contextmanager
-def applied(values: Sequence[tuple[Place, Value]]) -> Generator[None]:
+def applied(values: Sequence[tuple[str, Place, Value]]) -> Generator[None]:
     """Store values, and what was there before afterwards."""
-    before = [(place, copy_value(place.value)) for place, _ in values]
-    for place, value in values:
+    before = [(place, copy_value(place.value)) for _, place, _ in values]
+    for _, place, value in values:
         place.set(value)
     try:
         yield

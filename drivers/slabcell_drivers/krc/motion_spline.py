@@ -1,8 +1,8 @@
 """How does the tool move through a spline block?  SPL, SLIN and SCIRC segments as one way without a stop.
 
 Simplification against the controller: between SPL points the way is a cubic with the tangents of neighbouring points
-(Catmull-Rom over chord length), and one trapezoid of speed covers the whole block; the controller's own curve and its
-slowing down in bends are not public.  Every programmed point is passed exactly, as on the controller.
+(Catmull-Rom over chord length), and the speed changes only where the settings of a segment ask for it; the controller's
+own curve and its slowing down in bends are not public.  Every programmed point is passed exactly, as on the controller.
 """
 
 import math
@@ -40,6 +40,8 @@ class SplineSegment:
     target: Frame
     auxiliary: Frame | None = None
     circular_angle_deg: float | None = None
+    limits: PathLimits | None = None
+    """Of this segment alone; None for those of the block."""
 
 
 def plan_spline(
@@ -57,7 +59,8 @@ def plan_spline(
     for i, segment in enumerate(segments):
         path = _segment_path(segment, poses[i], poses[i + 1], tangents[i], tangents[i + 1])
         parts.append(OrientedPath.between(path, poses[i], poses[i + 1]))
-    return plan_path(arm, MotionKind.SPLINE, start, _Chain.of(parts), limits, tool)
+    sections = [segment.limits or limits for segment in segments]
+    return plan_path(arm, MotionKind.SPLINE, start, _Chain.of(parts), limits, tool, sections=sections)
 
 
 def _segment_path(segment: SplineSegment, start: Pose, end: Pose, leave: Vector, arrive: Vector) -> PointPath:

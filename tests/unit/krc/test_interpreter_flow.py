@@ -627,6 +627,32 @@ b=$ANOUT[2]"""
     assert bench.data("b") == pytest.approx(0.4)
 
 
+def test_an_analog_output_stays_within_its_bounds():
+    body = "ANOUT ON out=0.01*level MINIMUM=0.1 MAXIMUM=0.6\n"
+    for name, level in (("a", 0), ("b", 30), ("c", 200)):
+        body += f"level={level}\nWAIT SEC 0.05\n{name}=$ANOUT[2]\n"
+    bench = done(body, data="SIGNAL out $ANOUT[2]\nREAL level=0.0\nREAL a,b,c")
+    assert [bench.data(name) for name in "abc"] == pytest.approx([0.1, 0.3, 0.6])
+
+
+def test_an_analog_output_with_a_delay_comes_so_much_later():
+    body = """ANOUT ON out=0.01*level DELAY=0.2
+WAIT SEC 0.5
+level=50
+WAIT SEC 0.15
+a=$ANOUT[2]
+WAIT SEC 0.1
+b=$ANOUT[2]"""
+    bench = done(body, data="SIGNAL out $ANOUT[2]\nREAL level=30.0\nREAL a,b")
+    assert (bench.data("a"), bench.data("b")) == (pytest.approx(0.3), pytest.approx(0.5))
+
+
+def test_an_analog_output_ahead_of_its_time_is_refused():
+    result = Bench("ANOUT ON out=0.5 DELAY=-0.1", data="SIGNAL out $ANOUT[2]").run()
+    assert (result.status, result.message_number) == ("error", 91014)
+    assert "DELAY=-0.1" in result.message
+
+
 def test_continue_is_for_the_condition_behind_it_and_not_for_the_block():
     body = f"{START}PTP {AWAY}\nCONTINUE\nIF NOT $IN[9] THEN\nn=$ROB_TIMER\n$OUT[2]=TRUE\nENDIF"
     bench = done(body, data="INT n")

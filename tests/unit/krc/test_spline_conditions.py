@@ -188,7 +188,7 @@ def test_axes_pass_every_point_of_a_block_within_their_limits():
         (40.0, -80.0, 100.0, -30.0, 50.0, 90.0),
         (0.0, -90.0, 90.0, 0.0, 30.0, 0.0),
     ]
-    move = plan_joint_spline(KR3_R540, start, targets, speed_percent=60.0, acceleration_percent=60.0, tool=Frame())
+    move = plan_joint_spline(KR3_R540, start, targets, [(60.0, 60.0)] * 3, tool=Frame())
     for mark, target in zip(move.marks_s, targets, strict=False):
         assert move.axes_at(mark) == pytest.approx(target, abs=1e-6)
     assert move.axes_at(move.duration_s) == pytest.approx(targets[-1], abs=1e-9)
@@ -199,3 +199,48 @@ def test_axes_pass_every_point_of_a_block_within_their_limits():
         for i in range(6):
             assert abs(b[i] - a[i]) / step_s <= KR3_R540.axis_speed_deg_s[i] * 0.61
             assert abs(a[i] - 2 * b[i] + c[i]) / step_s**2 <= KR3_R540.axis_acceleration_deg_s2[i] * 0.7
+
+
+def three_segments(setting, block="SPLINE", end="ENDSPLINE"):
+    """A block with marks 1 and 2 at both ends of its middle segment, which has a setting of its own."""
+    return (
+        f"{block}\n{marked(1)}SLIN {at(-60)}\n{marked(2)}SLIN {at(60)}{setting}\nSLIN {at(100)}\n{end}\nspeed=$VEL.CP"
+    )
+
+
+@pytest.mark.parametrize(
+    ("setting", "block", "seconds"),
+    [
+        ("", "SPLINE", 1.2),
+        (" WITH $VEL.CP=0.02", "SPLINE", 6.0),
+        (" WITH $VEL={CP 0.02,ORI1 200.0,ORI2 200.0}", "SPLINE", 6.0),
+        (" WITH $VEL.CP=0.2", "SPLINE", 0.6),
+        ("", "SPLINE WITH $VEL.CP=0.02", 6.0),
+        (" WITH $VEL.CP=0.06", "SPLINE WITH $VEL.CP=0.02", 2.0),
+    ],
+)
+def test_a_segment_of_a_block_is_run_at_the_speed_that_is_set_for_it(setting, block, seconds):
+    bench = Bench(three_segments(setting, block), data="DECL REAL speed").done()
+    assert bench.time_of(2) - bench.time_of(1) == pytest.approx(seconds, rel=0.1)
+    assert bench.krc.data("t", "speed") == pytest.approx(0.1)
+    assert bench.krc.tcp.y_mm == pytest.approx(100.0, abs=1e-3)
+
+
+def test_a_segment_of_axes_is_run_at_the_speed_that_is_set_for_it():
+    def time_of_second(setting):
+        bench = Bench(f"""PTP_SPLINE
+{marked(1)}SPTP {{A1 10}}
+{marked(2)}SPTP {{A1 40}}{setting}
+SPTP {{A1 50}}
+ENDSPLINE""").done()
+        return bench.time_of(2) - bench.time_of(1)
+
+    at_a_tenth_s = 30.0 / (KR3_R540.axis_speed_deg_s[0] / 10.0)
+    assert time_of_second("") < at_a_tenth_s <= time_of_second(" WITH $VEL_AXIS[1]=10")
+
+
+def test_a_segment_may_keep_the_orientation_of_the_one_before_it():
+    turned = "{X 350,Y 60,Z 400,A 30,B 0,C 180}"
+    kept = Bench(f"SPLINE\nSPL {at(0)}\nSPL {turned} WITH $ORI_TYPE=#CONSTANT\nENDSPLINE").done()
+    assert kept.krc.tcp.a_deg == pytest.approx(0.0, abs=1e-6)
+    assert Bench(f"SPLINE\nSPL {at(0)}\nSPL {turned}\nENDSPLINE").done().krc.tcp.a_deg == pytest.approx(30.0, abs=1e-6)
