@@ -17,11 +17,11 @@ from slabcell.catalogue import Clears, Entry, catalogue
 from slabcell.cell.reconcile import Decision, reconcile
 from slabcell.cell.records import STEPS, OfferState
 from slabcell.cell.states import TABLE, CellState, HeldCause, SuspendedCause
-from slabcell.recipe import RecipeFile
 from slabcell.service.api.app import ENDPOINTS, description
 from slabcell.service.config import CellConfig, FrameConfig
 from slabcell.service.config_reload import is_reloadable
 from slabcell.service.event_feed import KINDS
+from slabcell.service.recipe_schema import recipe_schema
 from slabcell_drivers.robot.protocol import AckState
 
 DOCS = Path(__file__).parent
@@ -43,7 +43,7 @@ def pages() -> dict[Path, str]:
         control_api: _between_marks(control_api.read_text(encoding="utf-8"), "resources", resources_table()),
         configuration: _between_marks(configuration.read_text(encoding="utf-8"), "keys", config_table(CellConfig)),
         DOCS / "reference" / "cell-config.schema.json": _json(CellConfig.model_json_schema()),
-        DOCS / "reference" / "recipe.schema.json": _json(RecipeFile.model_json_schema()),
+        DOCS / "reference" / "recipe.schema.json": _json(recipe_schema()),
         DOCS / "reference" / "control-api.json": _json(description()),
     }
 

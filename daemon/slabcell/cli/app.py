@@ -34,6 +34,7 @@ VERBS: Final[dict[str, tuple[str, str, str]]] = {
     "doctor": ("slabcell.cli.doctor", "doctor_command", "Say what is wrong with this cell and what to do."),
     "vision": ("slabcell.cli.vision", "vision_app", "Try parameters of the vision on the running cell."),
     "recipe": ("slabcell.cli.recipe", "recipe_app", "Verify a recipe on graded pictures, and make it the active one."),
+    "task": ("slabcell.cli.tasks", "task_app", "Show what runs beside the running cell, and end it."),
     "replay": ("slabcell.cli.replay", "replay_command", "Run recorded cycles again and compare."),
     "template": ("slabcell.cli.template", "template_app", "Check and draw a template."),
     "camera": ("slabcell.cli.camera", "camera_app", "Find, set and test cameras."),

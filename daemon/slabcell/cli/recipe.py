@@ -7,13 +7,19 @@ from typing import Annotated
 
 import typer
 
-from slabcell.service.recipes import DEFAULT_DEG, DEFAULT_MM, Verification, activate, add_graded, verify
+from slabcell.cli.recipe_cell import activate_running, add_running_verbs, verify_running
+from slabcell.cli.talk import Socket, client
+from slabcell.service.recipes import ACTIVATION_S, DEFAULT_DEG, DEFAULT_MM, Verification, activate, add_graded, verify
 
 __all__ = ["recipe_app"]
 
 recipe_app = typer.Typer(no_args_is_help=True)
+add_running_verbs(recipe_app)
 
 Recipe = Annotated[Path, typer.Argument(metavar="RECIPE", help="The recipe's file.")]
+FileOrName = Annotated[
+    Path, typer.Argument(metavar="RECIPE", help="The recipe's file, or the name of a recipe of the running cell.")
+]
 Millimetres = Annotated[float, typer.Option("--mm", min=0.0, help="How far a pose may be off.")]
 Degrees = Annotated[float, typer.Option("--deg", min=0.0, help="How far an angle may be off.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
@@ -31,10 +37,21 @@ def grade_command(
 
 @recipe_app.command("verify")
 def verify_command(
-    recipe: Recipe, mm: Millimetres = DEFAULT_MM, deg: Degrees = DEFAULT_DEG, *, as_json: Json = False
+    recipe: FileOrName,
+    mm: Millimetres = DEFAULT_MM,
+    deg: Degrees = DEFAULT_DEG,
+    socket: Socket = None,
+    *,
+    as_json: Json = False,
 ) -> None:
-    """Run the recipe on its graded set.  Exit code 1 if a picture comes out otherwise."""
-    done = verify(recipe, tolerance_mm=mm, tolerance_deg=deg)
+    """Run the recipe on its graded set.  Exit code 1 if a picture comes out otherwise.
+
+    What is no file is the name of a recipe of the running cell, which then does the work, with its own tolerances.
+    """
+    if recipe.is_file():
+        done = verify(recipe, tolerance_mm=mm, tolerance_deg=deg)
+    else:
+        done = Verification.from_document(verify_running(client(socket), str(recipe)))
     _tell(done, as_json=as_json)
     if not done.passed:
         raise typer.Exit(1)
@@ -42,11 +59,11 @@ def verify_command(
 
 @recipe_app.command("activate")
 def activate_command(
-    recipe: Recipe,
+    recipe: FileOrName,
     config: Annotated[Path, typer.Option("--config", metavar="FILE", help="The cell's configuration.")] = Path(
         "/etc/slabcell/cell.toml"
     ),
-    socket: Annotated[Path | None, typer.Option("--socket", metavar="FILE", help="The daemon's socket.")] = None,
+    socket: Socket = None,
     mm: Millimetres = DEFAULT_MM,
     deg: Degrees = DEFAULT_DEG,
     *,
@@ -54,8 +71,13 @@ def activate_command(
 ) -> None:
     """Verify the recipe, then make it the one that the cell works with.
 
-    Refused with exit code 78 if it does not pass its graded set, and with 75 while a job is open.
+    Refused with exit code 78 if it does not pass its graded set, and with 75 while a job is open.  What is no file
+    is the name of a recipe of the running cell, which verifies it itself.
     """
+    if not recipe.is_file():
+        detail = activate_running(client(socket, timeout_s=ACTIVATION_S), str(recipe))
+        typer.echo(json.dumps({"schema": "slabcell.recipe-activation/1", "activated": detail}) if as_json else detail)
+        return
     done = verify(recipe, tolerance_mm=mm, tolerance_deg=deg)
     _tell(done, as_json=as_json, activated=activate(recipe, config, done, socket=socket))
 

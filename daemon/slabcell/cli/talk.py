@@ -23,9 +23,9 @@ Socket = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
-def client(path: Path | None) -> ApiClient:
+def client(path: Path | None, *, timeout_s: float = 60.0) -> ApiClient:
     """Return a client for the socket that was named, or the usual one."""
-    return ApiClient(path)
+    return ApiClient(path, timeout_s=timeout_s)
 
 
 def print_json(document: Mapping[str, Any]) -> None:

@@ -22,9 +22,11 @@ from slabcell.cell.ledger import Ledger
 from slabcell.service.active_recipe import RecipeShelf
 from slabcell.service.api.app import make_app
 from slabcell.service.api.context import ApiContext
+from slabcell.service.api.resources.tasks import task_view
 from slabcell.service.api.ring import EventRing
 from slabcell.service.api.server import listen, serve
 from slabcell.service.api.stream import StreamSeats
+from slabcell.service.background import Background
 from slabcell.service.bench.workbench import Workbench
 from slabcell.service.builder import CellParts, open_cell, read_parts
 from slabcell.service.bundles import BundleShelf
@@ -127,7 +129,8 @@ async def _running(
         stack.push_async_callback(view.close)
         robot = RobotWatch(cell, links)
         bundles = BundleShelf(folder / "bundles")
-        studio = Studio(Workbench(), Pictures(frames, bundles, history))
+        background = Background(lambda task: feed.add("task", task_view(task, result=False).model_dump(mode="json")))
+        studio = Studio(Workbench(), Pictures(frames, bundles, history), background)
         stack.push_async_callback(studio.close)
         stack.callback(cell.subscribe(studio.bench.see))
         context = ApiContext(

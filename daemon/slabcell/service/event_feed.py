@@ -27,6 +27,7 @@ KINDS = {
     "kept": "a cycle that ended was written to its bundle",
     "alarm": "an alarm came, went, or was acknowledged, shelved or unshelved",
     "link": "a device is reached, or no longer",
+    "task": "work beside the cell began, went on or ended",
     "config": "the configuration was read anew",
     "reset": "events before this one are lost to you: read the state anew",
 }

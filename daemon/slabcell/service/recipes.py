@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import hashlib
 import shutil
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Self
 from urllib.parse import quote
 
 from slabcell.cell.bundle_file import read_bundle
@@ -22,7 +24,7 @@ from slabcell.service.api.client import ApiClient
 from slabcell.service.config_layers import load_config
 from slabcell.service.devices import state_directory
 
-__all__ = ["Graded", "Verification", "activate", "add_graded", "recipe_sha256", "verify"]
+__all__ = ["ACTIVATION_S", "Graded", "Verification", "activate", "add_graded", "recipe_sha256", "verify"]
 
 # A daemon runs the graded set once more before it changes.
 ACTIVATION_S = 120.0
@@ -45,6 +47,12 @@ class Verification:
     sha256: str
     pictures: tuple[Graded, ...]
 
+    @classmethod
+    def from_document(cls, said: Mapping[str, Any]) -> Self:
+        """Return what the bench said of a recipe."""
+        pictures = tuple(Graded(str(item["bundle"]), tuple(map(str, item["problems"]))) for item in said["pictures"])
+        return cls(str(said["recipe"]), str(said["sha256"]), pictures)
+
     @property
     def passed(self) -> bool:
         """Whether every picture came out as it was graded."""
@@ -58,20 +66,34 @@ class Verification:
             raise RecipeError(msg)
 
 
-def recipe_sha256(path: Path) -> str:
+def recipe_sha256(path: Path, graded: Sequence[Path] | None = None) -> str:
     """Return the sum over a recipe's file, its template and the names and contents of its graded set: its version."""
     total = hashlib.sha256(path.read_bytes())
     total.update(load_recipe(path).template.sha256.encode("ascii"))
-    for bundle in _set(path):
+    for bundle in _set(path, graded):
         total.update(bundle.name.encode() + hashlib.sha256(bundle.read_bytes()).digest())
     return total.hexdigest()
 
 
-def verify(path: Path, *, tolerance_mm: float = DEFAULT_MM, tolerance_deg: float = DEFAULT_DEG) -> Verification:
-    """Run the graded set of a recipe.  Raises RecipeError, TemplateError or BundleError for files that are damaged."""
+def verify(
+    path: Path,
+    *,
+    tolerance_mm: float = DEFAULT_MM,
+    tolerance_deg: float = DEFAULT_DEG,
+    graded: Sequence[Path] | None = None,
+    done: Callable[[int, int, str], None] | None = None,
+) -> Verification:
+    """Run the graded set of a recipe: the folder beside it, or those that are named.
+
+    ``done`` is told before each picture how many are done, of how many, and its name.  Raises RecipeError,
+    TemplateError or BundleError for files that are damaged.
+    """
     recipe = load_recipe(path)
     pictures: list[Graded] = []
-    for file in _set(path):
+    files = _set(path, graded)
+    for number, file in enumerate(files):
+        if done is not None:
+            done(number, len(files), file.name)
         outcome = replay(read_bundle(file), recipe)
         problems: list[str] = []
         for item in outcome.differences:
@@ -82,11 +104,11 @@ def verify(path: Path, *, tolerance_mm: float = DEFAULT_MM, tolerance_deg: float
                 pick, place, turn = (f"{value:.3f}" for value in moved if value is not None)
                 problems.append(f"slot {item.slot}: pick {pick} mm, place {place} mm, {turn}° off")
         pictures.append(Graded(file.name, tuple(problems)))
-    return Verification(recipe.name, recipe_sha256(path), tuple(pictures))
+    return Verification(recipe.name, recipe_sha256(path, graded), tuple(pictures))
 
 
-def add_graded(path: Path, bundles: list[Path]) -> list[Path]:
-    """Copy bundles that a person has found right into a recipe's set; return where they lie.
+def add_graded(path: Path, bundles: list[Path], *, folder: Path | None = None) -> list[Path]:
+    """Copy bundles that a person has found right into a recipe's set, ``folder`` if it is named; return where they lie.
 
     Raises RecipeError for one whose template is another, and BundleError for one that is none.
     """
@@ -96,8 +118,8 @@ def add_graded(path: Path, bundles: list[Path]) -> list[Path]:
         if theirs.sha256 != recipe.template.sha256:
             msg = f"{file}: is of template {theirs.name}, {theirs.sha256[:12]}; the recipe's is {recipe.template.name}"
             raise RecipeError(msg)
-    folder = _folder(path)
-    folder.mkdir(exist_ok=True)
+    folder = folder or _folder(path)
+    folder.mkdir(parents=True, exist_ok=True)
     return [Path(shutil.copy2(file, folder / file.name)) for file in bundles]
 
 
@@ -128,5 +150,6 @@ def _folder(path: Path) -> Path:
     return path.with_suffix(".graded")
 
 
-def _set(path: Path) -> list[Path]:
-    return sorted(_folder(path).glob("*.zip"))
+def _set(path: Path, graded: Sequence[Path] | None) -> list[Path]:
+    folders = (_folder(path),) if graded is None else graded
+    return sorted((file for folder in folders for file in folder.glob("*.zip")), key=lambda file: file.name)

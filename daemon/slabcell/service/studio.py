@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
+from slabcell.service.background import Background
 from slabcell.service.bench.workbench import Workbench
 from slabcell.service.expiring import Expiring
 from slabcell.service.pictures import Pictures
@@ -40,6 +41,7 @@ class Studio:
 
     bench: Workbench
     pictures: Pictures
+    background: Background = field(default_factory=Background)
     previews: Expiring[Preview] = field(default_factory=_previews)
 
     def keep(self, preview: Preview) -> str:
@@ -50,6 +52,7 @@ class Studio:
 
     async def close(self) -> None:
         """End the bench, and forget what it left."""
+        await self.background.close()
         self.previews.clear()
         self.pictures.uploads.clear()
         await self.bench.close()

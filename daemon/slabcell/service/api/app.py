@@ -18,6 +18,7 @@ from slabcell.service.api.openapi import describe
 from slabcell.service.api.problems import ProblemError, respond
 from slabcell.service.api.resources import (
     alarms,
+    calibration,
     control,
     cycles,
     events,
@@ -25,9 +26,11 @@ from slabcell.service.api.resources import (
     jobs,
     looking,
     metrics,
+    recipe_work,
     recipes,
     results,
     status,
+    tasks,
     vision,
 )
 
@@ -39,9 +42,12 @@ ENDPOINTS: tuple[Endpoint[ApiContext], ...] = (
     *cycles.ENDPOINTS,
     *results.ENDPOINTS,
     *recipes.ENDPOINTS,
+    *recipe_work.ENDPOINTS,
+    *calibration.ENDPOINTS,
     *frames.ENDPOINTS,
     *looking.ENDPOINTS,
     *vision.ENDPOINTS,
+    *tasks.ENDPOINTS,
     *alarms.ENDPOINTS,
     *control.ENDPOINTS,
     *events.ENDPOINTS,

@@ -98,6 +98,21 @@ class ApiClient:
             headers["Content-Type"] = media_type
         return _object(self._ask("POST", path, content, headers))
 
+    def follow(self, task: Json) -> Json:
+        """Wait for a task of the daemon (a ``slabcell.task/1`` object); return what came of it.
+
+        Raises SlabcellError if it failed or was cancelled.
+        """
+        pause_s = 0.05
+        while task["state"] == "running":
+            time.sleep(pause_s)
+            pause_s = min(1.0, 1.5 * pause_s)
+            task = self.get(f"/v1/tasks/{task['task']}")
+        if task["state"] != "done":
+            msg = f"{task['title']}: {task['problem']}"
+            raise SlabcellError(msg, number=int(task["number"]))
+        return cast("Json", task["result"])
+
     def _ask(self, method: str, target: str, content: bytes | None, headers: dict[str, str]) -> Answer:
         connection = _Connection(self.path, self._timeout_s)
         try:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import Final
 
+from slabcell.service.bench.grading import grade
 from slabcell.service.bench.preview import preview
 from slabcell.service.bench.work import Task, Work
 
 __all__ = ["TASKS", "Work"]
 
 TASKS: Final[dict[str, Task]] = {
+    "grade": grade,
     "preview": preview,
 }

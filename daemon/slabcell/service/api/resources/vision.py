@@ -22,18 +22,15 @@ from slabcell.service.candidate import Candidate, make_candidate
 from slabcell.service.pictures import MAX_UPLOAD_BYTES, NoSuchPictureError, Picture
 from slabcell.service.studio import Preview
 
-__all__ = ["ENDPOINTS", "PARAMETER_BYTES", "CandidateBody", "candidate_of", "chosen_picture"]
+__all__ = ["ENDPOINTS", "PARAMETER_BYTES", "ParametersBody", "candidate_of", "chosen_picture"]
 
 PARAMETER_BYTES: Final = 512 << 10
 PREVIEW_TIMEOUT_S: Final = 30.0
 
 
-class CandidateBody(Body):
-    """A recipe that somebody is working on: parameters over those of a recipe that is there."""
+class ParametersBody(Body):
+    """What a recipe would say; what is not given is as in the recipe that it is based on."""
 
-    base: Annotated[str, Field(max_length=200)] | None = Field(
-        default=None, description="name of the recipe that it is based on; none: the active one"
-    )
     toml: Annotated[str, Field(max_length=PARAMETER_BYTES)] | None = Field(
         default=None, description="the parameters as a recipe file has them"
     )
@@ -42,6 +39,14 @@ class CandidateBody(Body):
     )
     template_csv: Annotated[str, Field(max_length=PARAMETER_BYTES)] | None = Field(
         default=None, description="another template, as CSV; none: that of the base"
+    )
+
+
+class CandidateBody(ParametersBody):
+    """A recipe that somebody is working on: parameters over those of a recipe that is there."""
+
+    base: Annotated[str, Field(max_length=200)] | None = Field(
+        default=None, description="name of the recipe that it is based on; none: the active one"
     )
 
 
@@ -103,14 +108,17 @@ async def chosen_picture(context: ApiContext, name: str) -> Picture:
         raise ProblemError(404, str(error)) from error
 
 
-async def candidate_of(context: ApiContext, said: CandidateBody) -> Candidate:
-    """Return the recipe that is meant.  Raises ProblemError 404, RecipeError or TemplateError."""
+async def candidate_of(context: ApiContext, base: str, said: ParametersBody) -> Candidate:
+    """Return the recipe that is meant, over the recipe ``base``.
+
+    Raises ProblemError 404, RecipeError or TemplateError.
+    """
     shelf = context.recipes
     if shelf is None:
         raise ProblemError(404, "this daemon has no folder of recipes")
-    base = await asyncio.to_thread(shelf.path_of, said.base or context.cell.recipe.name)
+    path = await asyncio.to_thread(shelf.path_of, base)
     return await asyncio.to_thread(
-        lambda: make_candidate(base, toml=said.toml, parameters=said.parameters, template_csv=said.template_csv)
+        lambda: make_candidate(path, toml=said.toml, parameters=said.parameters, template_csv=said.template_csv)
     )
 
 
@@ -119,7 +127,7 @@ async def _preview(call: Call[ApiContext]) -> PreviewDocument:
     assert isinstance(said, PreviewBody)  # noqa: S101 - as the endpoint declares
     recipe = context.cell.recipe
     if (said.base or recipe.name, said.toml, said.parameters, said.template_csv) != (recipe.name, None, None, None):
-        recipe = (await candidate_of(context, said)).recipe
+        recipe = (await candidate_of(context, said.base or recipe.name, said)).recipe
     picture = await chosen_picture(context, said.picture)
     arguments = {
         **picture.arguments,

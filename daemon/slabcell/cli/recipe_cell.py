@@ -1,0 +1,88 @@
+"""The verbs of `slabcell recipe` that talk to a running cell: list, show, schema, save."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+from urllib.parse import quote
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from slabcell.cli.talk import AsJson, Socket, client, print_json, read_file
+from slabcell.service.api.client import ApiClient
+
+__all__ = ["activate_running", "add_running_verbs", "path_of", "verify_running"]
+
+Name = Annotated[str, typer.Argument(metavar="NAME", help="A recipe of the running cell.")]
+
+
+def path_of(name: str, *rest: str) -> str:
+    """Return the resource of a recipe."""
+    return "/".join(["/v1/recipes", quote(name, safe="~"), *rest])
+
+
+def list_command(socket: Socket = None, *, as_json: AsJson = False) -> None:
+    """List the recipes of the running cell, saved versions too."""
+    document = client(socket).get("/v1/recipes")
+    if as_json:
+        print_json(document)
+        return
+    table = Table("recipe", "active", "slots", "sha256", "problem")
+    for item in document["recipes"]:
+        active = "active" if item["active"] else ""
+        table.add_row(item["name"], active, str(item["slots"]), item["sha256"][:12], item["problem"])
+    Console().print(table)
+
+
+def show_command(name: Name, socket: Socket = None, *, as_json: AsJson = False) -> None:
+    """Show a recipe of the running cell as it is written; with --json every value and its template."""
+    document = client(socket).get(path_of(name))
+    if as_json:
+        print_json(document)
+    else:
+        typer.echo(document["toml"], nl=not document["toml"].endswith("\n"))
+
+
+def schema_command(socket: Socket = None) -> None:
+    """Print the JSON schema of recipes: types, ranges, units and help."""
+    typer.echo(json.dumps(client(socket).get("/v1/recipes/schema")["json_schema"], indent=1))
+
+
+def save_command(
+    name: Name,
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The parameters, as a recipe file has them.")],
+    template: Annotated[
+        Path | None, typer.Option("--template", metavar="CSV", help="Another template than that of NAME.")
+    ] = None,
+    socket: Socket = None,
+    *,
+    as_json: AsJson = False,
+) -> None:
+    """Save parameters as a new version of a recipe on the running cell.  It is not active yet."""
+    body: dict[str, Any] = {"toml": read_file(file).decode("utf-8", "replace")}
+    if template is not None:
+        body["template_csv"] = read_file(template).decode("utf-8", "replace")
+    document = client(socket).post(path_of(name, "versions"), body)
+    if as_json:
+        print_json(document)
+    else:
+        typer.echo(document["name"])
+
+
+def verify_running(api: ApiClient, name: str) -> dict[str, Any]:
+    """Have the running cell run the graded set of one of its recipes; return what came of it."""
+    return api.follow(api.post(path_of(name, "verify")))
+
+
+def activate_running(api: ApiClient, name: str) -> str:
+    """Make a recipe of the running cell its active one; return what was done."""
+    return str(api.post(path_of(name, "activate"))["detail"])
+
+
+def add_running_verbs(app: typer.Typer) -> None:
+    """Add the verbs to `slabcell recipe`."""
+    app.command("list")(list_command)
+    app.command("show")(show_command)
+    app.command("schema")(schema_command)
+    app.command("save")(save_command)

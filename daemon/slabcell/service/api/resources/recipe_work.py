@@ -1,0 +1,138 @@
+"""How does a recipe become better?  Saved as a new version, graded, verified; and is this template one?"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from hashlib import sha256
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+from pydantic import Field
+
+from slabcell.cell.bundle_file import BundleError
+from slabcell.errors import TemplateError
+from slabcell.service.api.context import ApiContext
+from slabcell.service.api.documents import Document, Done
+from slabcell.service.api.endpoint import Body, Call, Endpoint
+from slabcell.service.api.problems import ProblemError
+from slabcell.service.api.resources.cycles import cycle_row
+from slabcell.service.api.resources.recipes import GRADING_TIMEOUT_S, grading_arguments, known_path, recipes_of
+from slabcell.service.api.resources.tasks import TaskDocument, task_view
+from slabcell.service.api.resources.vision import PARAMETER_BYTES, ParametersBody, candidate_of
+from slabcell.service.bench.wire import Json
+from slabcell.service.recipes import add_graded
+from slabcell.template import parse_template
+
+__all__ = ["ENDPOINTS"]
+
+TEMPLATE_BYTES: Final = 2 << 20
+Progress = Callable[[Json], None]
+
+
+class SavedDocument(Document):
+    """A new version of a recipe."""
+
+    schema_: Literal["slabcell.recipe-saved/1"] = Field(default="slabcell.recipe-saved/1", alias="schema")
+    name: str = Field(description="what it is called, as NAME~3; it is not active yet")
+
+
+class GradeBody(Body):
+    """Which cycle a person has found right."""
+
+    cycle: Annotated[int, Field(ge=1)] = Field(description="number of an ended cycle whose bundle is kept")
+
+
+class SlotDocument(Document):
+    """One polygon of a template."""
+
+    slot: int
+    outline_mm: list[tuple[float, float]]
+    area_mm2: float
+
+
+class TemplateDocument(Document):
+    """A template, and everything that is wrong with it."""
+
+    schema_: Literal["slabcell.template-check/1"] = Field(default="slabcell.template-check/1", alias="schema")
+    problems: list[str] = Field(description="each with line and column; empty if it can be used")
+    slots: list[SlotDocument] = Field(description="empty if there are problems")
+    sha256: str
+
+
+async def _save(call: Call[ApiContext]) -> SavedDocument:
+    context, name = call.context, call.text("name")
+    await known_path(context, name)
+    candidate = await candidate_of(context, name, call.body)
+    return SavedDocument(name=await asyncio.to_thread(recipes_of(context).save, name, candidate))
+
+
+async def _verify(call: Call[ApiContext]) -> TaskDocument:
+    context, name = call.context, call.text("name")
+    arguments = await grading_arguments(context, name)
+
+    async def work(progress: Progress) -> Json:
+        done = await context.studio.bench.run("grade", arguments, timeout_s=GRADING_TIMEOUT_S, progress=progress)
+        return {"schema": "slabcell.recipe-verification/1", **done.content}
+
+    task = context.studio.background.start("verify-recipe", f"run the graded set of {name}", work)
+    return task_view(task)
+
+
+async def _grade(call: Call[ApiContext]) -> Done:
+    context, name = call.context, call.text("name")
+    path = Path(await known_path(context, name))
+    row = await cycle_row(context, call.body.cycle)
+    folder = recipes_of(context).graded(name)[-1]
+    try:
+        bundle = await asyncio.to_thread(context.bundles.path, row.bundle)
+    except BundleError as error:
+        raise ProblemError(404, str(error)) from error
+    (kept,) = await asyncio.to_thread(lambda: add_graded(path, [bundle], folder=folder))
+    return Done(detail=f"{kept.name} belongs to the graded set of {name}")
+
+
+async def _template(call: Call[ApiContext]) -> TemplateDocument:
+    try:
+        found = await asyncio.to_thread(parse_template, call.raw, "template")
+    except TemplateError as error:
+        return TemplateDocument(problems=list(error.problems), slots=[], sha256=sha256(call.raw).hexdigest())
+    slots = [
+        SlotDocument(
+            slot=number,
+            outline_mm=[(float(x), float(y)) for x, y in slot.vertices],
+            area_mm2=round(slot.area_mm2, 3),
+        )
+        for number, slot in enumerate(found.slots)
+    ]
+    return TemplateDocument(problems=[], slots=slots, sha256=found.sha256)
+
+
+_TAG = "recipes"
+ENDPOINTS = (
+    Endpoint(
+        *("POST", "/v1/recipes/{name}/versions", "Save parameters as a new version; it is not active yet", _save),
+        *(SavedDocument, _TAG),
+        body=ParametersBody,
+        body_bytes=3 * PARAMETER_BYTES,
+        problems=(404,),
+    ),
+    Endpoint(
+        *("POST", "/v1/recipes/{name}/verify", "Run the recipe on its graded pictures, in the background", _verify),
+        *(TaskDocument, _TAG),
+        problems=(404, 503),
+    ),
+    Endpoint(
+        *("POST", "/v1/recipes/{name}/grade", "Add a cycle that a person has found right to the graded set", _grade),
+        *(Done, _TAG),
+        body=GradeBody,
+        problems=(404,),
+    ),
+    Endpoint(
+        *("POST", "/v1/templates/check", "Say everything that is wrong with a template (CSV)", _template),
+        *(TemplateDocument, _TAG),
+        raw="text/csv",
+        body_bytes=TEMPLATE_BYTES,
+        kept=False,
+    ),
+)
