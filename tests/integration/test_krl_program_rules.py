@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from slabcell_drivers.krc import SoftwareKrc, read_project
+from slabcell_drivers.krc.kernel import STATEMENT_S
 from slabcell_drivers.robot.arm import KR3_R540
 from slabcell_drivers.robot.eki.codec import decode_request, encode_answer
 from slabcell_drivers.robot.frame import Frame
@@ -318,9 +319,10 @@ def test_a_step_that_the_cell_refuses_is_not_taken(peer, state, held):
     assert (PLACE_BASE.inverse() @ robot.krc.tcp).y_mm < 0, "the arm went to the place"
 
 
-def test_after_an_error_start_connects_anew_and_that_is_no_lost_link(peer):
+@pytest.mark.parametrize("statement_s", [STATEMENT_S, 0.012], ids=["fast", "slow"])
+def test_after_an_error_start_connects_anew_and_that_is_no_lost_link(peer, statement_s):
     peer.answers["TRIGGER"] = said_otherwise(code=1101, message="1101 Camera.")
-    robot = Robot(peer)
+    robot = Robot(peer, statement_s=statement_s)
     assert robot.run().status == "halted"
     before = len(peer.seen)
     assert robot.go_on().status == "done"
@@ -343,8 +345,18 @@ def test_a_run_says_hello_first_whatever_an_earlier_one_left_behind(peer):
     robot.krc.set_data("VT", "VT_READY", True)
     robot.krc.set_data("VT", "VT_SES", 55)
     assert robot.run().status == "done"
-    assert peer.seen[0].request.type is RequestType.HELLO
-    assert peer.seen[0].request.session == 0
+    first = peer.seen[0].request
+    assert (first.type, first.session, first.sequence) == (RequestType.HELLO, 0, 1)  # nothing was tried before it
+
+
+def test_a_channel_that_is_given_back_leaves_no_flag_behind(peer):
+    numbers = (996, 997, 998)
+    left_behind = "".join(f"$FLAG[{n}]=TRUE\n" for n in numbers)
+    looked_at = " OR ".join(f"$FLAG[{n}]" for n in numbers)
+    probe = f"DEF Probe()\n{left_behind}VT_INIT()\nLEFT={looked_at}\nEND\n".encode()
+    robot = Robot(peer, more={"Probe.src": probe, "Probe.dat": b"DEFDAT Probe PUBLIC\nBOOL LEFT=TRUE\nENDDAT\n"})
+    assert robot.run("Probe").status == "done"
+    assert robot.krc.data("Probe", "LEFT") is False
 
 
 # --- a part that is held at the start ---------------------------------------------------------------------------------
@@ -396,6 +408,8 @@ def test_a_part_that_is_another_or_gone_is_not_placed(peer, held, last):
     if held:
         assert (result.status, robot.texts[-1][:4]) == ("halted", "2005")
         assert [value for value, *_ in robot.gripper.history] == []
+    else:  # nothing was carried, so nothing can have been lost on the way
+        assert (result.status, robot.texts) == ("done", ["Job complete: every slot is filled"])
 
 
 # --- where the arm stands when it asks --------------------------------------------------------------------------------
@@ -412,6 +426,15 @@ def test_every_picture_is_asked_for_with_the_arm_standing_at_the_photo_position(
         assert seen.axes == pytest.approx(PHOTO, abs=1e-3)
         flange_tcp = KR3_R540.forward(PHOTO) @ TOOL
         assert seen.request.tcp.as_tuple()[:3] == pytest.approx(flange_tcp.as_tuple()[:3], abs=1e-2)
+    assert robot.krc.axes_deg == pytest.approx(PHOTO, abs=1e-3)
+
+
+@pytest.mark.parametrize("code", [ResultCode.JOB_COMPLETE, ResultCode.NOTHING_LEFT])
+def test_the_arm_goes_aside_at_the_end_wherever_the_cell_ends_the_job(peer, code):
+    peer.answers["PLACED"] = said_otherwise(code=code)
+    robot = Robot(peer)
+    assert robot.run().status == "done"
+    assert len(peer.requests(RequestType.TRIGGER)) == 1
     assert robot.krc.axes_deg == pytest.approx(PHOTO, abs=1e-3)
 
 
@@ -478,7 +501,7 @@ def test_the_arm_goes_straight_down_to_and_straight_up_from_both_ends(peer):
 
 
 def test_vacuum_that_comes_and_goes_slowly_is_waited_for(peer):
-    due = []
+    due, changes = [], []
 
     def late(index, value, _tcp):
         if index == 1:
@@ -486,12 +509,19 @@ def test_vacuum_that_comes_and_goes_slowly_is_waited_for(peer):
 
     def note(event):
         while due and event.time_s >= due[0][0]:
-            robot.krc.set_input(1, due.pop(0)[1])
+            _, value = due.pop(0)
+            changes.append((value, robot.krc.tcp.as_tuple()[:3]))
+            robot.krc.set_input(1, value)
 
     robot = Robot(peer, trace=note, trace_kinds=frozenset({"statement"}))
     robot.gripper.output_changed = late
     assert (robot.run().status, robot.texts) == ("done", ["Job complete: every slot is filled"])
     assert peer.acks()[-1] == (101, AckState.PLACED)
+    # the arm stood at the part until it was held, and in the slot until it was released
+    (held, held_at), (released, released_at) = changes[-2:]
+    assert (held, released) == (True, False)
+    assert held_at == pytest.approx((PICK_BASE @ PICK).as_tuple()[:3], abs=0.01)
+    assert released_at == pytest.approx((PLACE_BASE @ PLACE).as_tuple()[:3], abs=0.01)
 
 
 def test_a_gripper_that_does_not_let_go_is_named(peer):

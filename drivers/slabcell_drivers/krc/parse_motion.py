@@ -10,6 +10,7 @@ __all__ = ["MOTIONS", "MotionParser"]
 
 _BASIC = ("PTP", "LIN", "CIRC", "SPTP", "SLIN", "SCIRC", "SPL")
 MOTIONS = frozenset({*_BASIC, *(f"{kind}_REL" for kind in _BASIC)})
+_APPROXIMATIONS = ("C_PTP", "C_DIS", "C_VEL", "C_ORI", "C_SPL")
 
 
 class MotionParser(ExpressionParser):
@@ -42,7 +43,7 @@ class MotionParser(ExpressionParser):
             token = self.token
             if token.kind == "ENUM":
                 reference = self.advance().word.lstrip("# \t")
-            elif token.kind == "NAME" and token.word.startswith("C_"):
+            elif token.kind == "NAME" and token.word in _APPROXIMATIONS:
                 approximation.append(self.advance().word)
             elif self.at_word("CA"):
                 angle = self._angle()
@@ -76,7 +77,7 @@ class MotionParser(ExpressionParser):
         body = self.block("ENDSPLINE")
         self.close(place, "ENDSPLINE")
         approximation: list[str] = []
-        while self.at("NAME") and self.token.word.startswith("C_"):
+        while self.at_word(*_APPROXIMATIONS):
             approximation.append(self.advance().word)
         return Spline(place, kind, settings, body, tuple(approximation))
 

@@ -31,6 +31,8 @@ def found(text):
         ("INTERRUPT 5", 11, "DECL or ON or OFF or ENABLE or DISABLE"),
         ("TRIGGER WHEN TIME=5 DO x=1", 14, "DISTANCE or PATH"),
         ("PTP P1 FAST", 8, "C_PTP"),
+        ("LIN P1 C_DIST", 8, "C_PTP, C_DIS"),
+        ("SLIN P1 WITH $VEL.CP=1 C_X", 24, "C_PTP, C_DIS"),
         ("5=x", 1, "a statement"),
         ("HALT 5", 6, "the end of the line"),
         ("x={A 1,B}, 2", 10, "the end of the line"),

@@ -372,6 +372,22 @@ def test_line_ends_letter_case_and_blanks_make_no_difference(style):
         "x=1.#INF",
         "  &PARAM in the middle",
         'SYNCCMD(#PROGSYNC,"x",1)',
+        "LIN_REL {Y 15}#TOOL",
+        "PTP_REL{A4 -0.5}",
+        "FOR k=(1) TO (n) STEP (2)\nENDFOR",
+        "IF(a)THEN\nb=NOT  b\nENDIF",
+        "IF (a<> NOT (b)) THEN\nENDIF",
+        "SWITCH($ERR.NUMBER)\nCASE 4,8\nDEFAULT\nENDSWITCH",
+        "a[k].low =  -1E10 ;(lowest)",
+        "$OUT[first*(-1)]=TRUE",
+        "ready =true; ((a==FALSE) AND (b==TRUE))",
+        'MsgDialog(n, "which", "module", "x", "One",, , , ,,)',
+        "CHANNEL :SER_9 :SER_9 $PSER_9",
+        "DECL EXT_MOD_T M={O_FILE[] \" \",OPTION 'B0000'}",
+        "WAIT FoR Done (h) OR TRUE",
+        "share=a/100.",
+        "f=EK(M[k].ROOT,M[k].KIND,a:B[n]:c)",
+        "$CYCFLAG[n]=((a>b)OR(c>d))AND e",
         'DECL BASIS_SUGG_T LAST={POINT1[] "P1",CONT[] "C_DIS C_DIS",N 1}',
     ],
 )
@@ -385,6 +401,13 @@ def test_subprograms_nested_in_folds_and_files_without_a_last_line_end_are_taken
     assert module.diagnostics == ()
     assert [r.name for r in module.routines] == ["A", "B", "C"]
     assert [r.is_global for r in module.routines] == [False, True, False]
+
+
+def test_comments_behind_the_last_line_of_a_routine_and_spaces_in_its_first_are_taken():
+    text = 'Global DEF  a (x : IN , y[] :OUT)\nEND; (a)\nDEFFCT  CHAR [8] b( )\nRETURN "b"\nENDFCT ;(b)\n'
+    module = parse("DEF $M_A( )\nEND\n" + text, "$m_a.src")
+    assert module.diagnostics == ()
+    assert [r.name for r in module.routines] == ["$M_A", "A", "B"]
 
 
 def test_a_submit_program_is_a_program():
