@@ -69,7 +69,7 @@ def test_the_wheel_carries_programs_configuration_and_pages(installed: Path, tmp
         "d = f('slabcell') / 'data'\n"
         "for p in ['krl/SlabCell.src', 'krl/SlabCell.xml', 'config/demo.toml', 'config/errors.toml']:\n"
         "    assert (d / p).is_file(), p\n"
-        "assert (f('slabcell.hmi') / 'static' / 'slabcell.css').is_file()\n"
+        "assert (f('slabcell.hmi') / 'static' / 'report.css').is_file()\n"
     )
     subprocess.run([str(installed / "python"), "-c", code], cwd=tmp_path, check=True, timeout=60)
 

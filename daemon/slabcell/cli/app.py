@@ -19,6 +19,7 @@ __all__ = ["main"]
 VERBS: Final[dict[str, tuple[str, str, str]]] = {
     "demo": ("slabcell.cli.demo", "demo_command", "Run the whole cell, simulated, and measure what it laid."),
     "run": ("slabcell.cli.run", "run_command", "Run the cell as a daemon."),
+    "hmi": ("slabcell.cli.hmi", "hmi_app", "Serve the web pages of the cell, and keep their users."),
     "status": ("slabcell.cli.status", "status_command", "Show how the running cell is."),
     "job": ("slabcell.cli.job", "job_app", "Show jobs, and what became of their slabs."),
     "alarms": ("slabcell.cli.alarms", "alarms_app", "Show alarms, and acknowledge or shelve them."),

@@ -10,10 +10,13 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from slabcell.cli.demo_hmi import show_demo
+from slabcell.errors import UsageError
 from slabcell.hmi.report import render_report
 from slabcell.logs import log_to_file
 from slabcell.service.demo import DemoOptions, run_demo
 from slabcell.service.demo_camera import DemoCamera
+from slabcell.service.demo_cell import DemoCellOptions
 from slabcell.service.demo_robot import DemoLink
 
 __all__ = ["demo_command"]
@@ -71,6 +74,8 @@ def demo_command(
         typer.Option("--link", help="How robot and cell speak; Modbus: with a PLC in software between them."),
     ] = DemoLink.EKI,
     *,
+    hmi: Annotated[bool, typer.Option("--hmi", help="Lay job after job, and serve the web pages of the cell.")] = False,
+    port: Annotated[int, typer.Option("--port", min=0, max=65_535, help="With --hmi: where the pages are.")] = 8080,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")] = False,
 ) -> None:
     """Run the whole cell, simulated, and measure what it laid.
@@ -78,6 +83,8 @@ def demo_command(
     Renders the table, calibrates the camera from rendered boards, runs the shipped KRL programs in the software KRC
     (or, over Modbus, the same job in a PLC in software), lays the template and measures every slab in the world's
     truth.  Exit code 1 if a slot is not filled to within 0.5 mm and 0.5 degrees.
+
+    With --hmi the cell lives on, and its web pages can be opened in a browser, until Ctrl-C.
     """
     console = Console(stderr=True)
     columns = (
@@ -88,6 +95,13 @@ def demo_command(
         TextColumn("{task.fields[detail]}", style="dim"),
     )
     log_to_file(out / "slabcell.log")
+    if hmi:
+        if camera is not DemoCamera.SIMULATED or link is not DemoLink.EKI or as_json:
+            msg = "--hmi goes with the simulated camera, with link eki, and without --json"
+            raise UsageError(msg)
+        with Progress(*columns, console=console) as progress:
+            asyncio.run(show_demo(DemoCellOptions(scene, seed, out), _Display(progress), port))
+        return
     with Progress(*columns, console=console) as progress:
         display = _Display(progress)
         document = asyncio.run(run_demo(DemoOptions(scene, seed, out, camera, link), display))

@@ -17,8 +17,8 @@ def render_report(document: Mapping[str, object], pictures: Mapping[str, bytes])
     """Return the page of a ``slabcell.demo/1`` document; ``pictures`` maps a caption to PNG or JPEG bytes."""
     room = files("slabcell.hmi")
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
-    page = environment.from_string((room / "pages" / "report.html").read_text(encoding="utf-8"))
-    style = (room / "static" / "slabcell.css").read_text(encoding="utf-8")
+    page = environment.from_string((room / "report.html").read_text(encoding="utf-8"))
+    style = (room / "static" / "report.css").read_text(encoding="utf-8")
     return page.render(run=document, style=style, pictures={name: _data_url(raw) for name, raw in pictures.items()})
 
 

@@ -11,6 +11,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from slabcell.service.hmi_config import HmiConfig
 from slabcell.service.krl_config import KrlConfig
 from slabcell.service.light_config import LightConfig
 from slabcell.service.modbus_config import ModbusConfig
@@ -211,3 +212,4 @@ class CellConfig(TomlTable):
     verification: VerificationConfig = VerificationConfig()
     bundles: BundlesConfig = BundlesConfig()
     api: ApiConfig = ApiConfig()
+    hmi: HmiConfig = HmiConfig()

@@ -140,10 +140,16 @@ def _origin(keys: tuple[str, ...], origins: dict[KeyPath, str]) -> str:
 
 def _located(config: CellConfig, here: Path) -> CellConfig:
     """Return the configuration with the files that it names relative to its own place."""
-    images, modbus, light = config.camera.images, config.robot.modbus, config.light
+    images, modbus, light, hmi = config.camera.images, config.robot.modbus, config.light, config.hmi
     modbus = modbus.model_copy(update={"map": here / modbus.map if modbus.map else None})
     if light is not None:
         light = light.model_copy(update={"presets": here / light.presets if light.presets else None})
+    hmi = hmi.model_copy(
+        update={
+            "certificate": here / hmi.certificate if hmi.certificate else None,
+            "private_key": here / hmi.private_key if hmi.private_key else None,
+        }
+    )
     return config.model_copy(
         update={
             "recipe": here / config.recipe,
@@ -151,5 +157,6 @@ def _located(config: CellConfig, here: Path) -> CellConfig:
             "camera": config.camera.model_copy(update={"images": here / images if images else None}),
             "robot": config.robot.model_copy(update={"modbus": modbus}),
             "light": light,
+            "hmi": hmi,
         }
     )

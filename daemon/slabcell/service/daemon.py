@@ -49,8 +49,9 @@ from slabcell.service.robot_link import serve_robot
 from slabcell.service.robot_watch import RobotWatch
 from slabcell.service.studio import Studio
 from slabcell.service.watchdog import feed
+from slabcell_drivers.camera import Camera
 
-__all__ = ["run_daemon"]
+__all__ = ["run_daemon", "running_cell"]
 
 SOCKET_MODE = 0o660
 
@@ -69,7 +70,7 @@ async def run_daemon(path: Path, *, ready: Callable[[tuple[str, int]], None] | N
     parts = read_parts(config.model_copy(update={"recipe": shelf.active}), path)
     stopping, reload = asyncio.Event(), asyncio.Event()
     with _signals({signal.SIGTERM: stopping, signal.SIGINT: stopping, signal.SIGHUP: reload}), InstanceLock(folder):
-        async with _running(config, parts, folder) as (context, address, ledger):
+        async with running_cell(config, parts, folder) as (context, address, ledger):
             context.recipes = shelf
             recipe = context.cell.recipe.name
             _log.info("ready", cell=config.name, recipe=recipe, robot=f"{address[0]}:{address[1]}")
@@ -107,10 +108,13 @@ async def _reloading(wanted: asyncio.Event, reloader: Reloader) -> None:
 
 
 @contextlib.asynccontextmanager
-async def _running(
-    config: CellConfig, parts: CellParts, folder: Path
+async def running_cell(
+    config: CellConfig, parts: CellParts, folder: Path, *, camera: Camera | None = None
 ) -> AsyncGenerator[tuple[ApiContext, tuple[str, int], Ledger]]:
-    """Give the running cell, where the robot meets it, and its ledger; everything is closed in the end."""
+    """Give the running cell, where the robot meets it, and its ledger; everything is closed in the end.
+
+    Another ``camera`` than that of the configuration is one that is simulated.
+    """
     async with contextlib.AsyncExitStack() as stack:
         history = await History.open(folder / "history.sqlite")
         stack.push_async_callback(history.close)
@@ -120,7 +124,7 @@ async def _running(
         feed = EventFeed(ring, history, links, frames)
         links.changed = feed.link_changed
         light = LightReport()
-        camera = with_light(make_camera(config.camera), config.light, light)
+        camera = with_light(camera or make_camera(config.camera), config.light, light)
         stack.push_async_callback(camera.close)
         cell, ledger = await stack.enter_async_context(open_cell(parts, camera, folder))
         stack.callback(cell.subscribe(feed.see))

@@ -37,7 +37,7 @@ from slabcell_drivers.krc import RunResult
 from slabcell_drivers.robot.arm import ArmModel, arm_by_name
 from slabcell_drivers.simulation import Placement, Scene, SceneError, load_scene
 
-__all__ = ["DemoOptions", "Progress", "run_demo", "scene_names"]
+__all__ = ["DemoOptions", "DemoParts", "Progress", "demo_folder", "read_demo_parts", "run_demo", "scene_names"]
 
 LIMIT_MM = 0.5
 LIMIT_DEG = 0.5
@@ -69,7 +69,7 @@ class DemoOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class _Parts:
+class DemoParts:
     """What a demo is made of, read and checked."""
 
     config: CellConfig
@@ -89,8 +89,8 @@ async def run_demo(options: DemoOptions, progress: Progress) -> Document:
 
     Raises SlabcellError.
     """
-    parts = _read(options.scene)
-    out = _folder(options.out)
+    parts = read_demo_parts(options.scene)
+    out = demo_folder(options.out)
     simulated = SimulatedCell(parts.scene, options.seed, parts.arm, parts.config.robot.tool.to_frame())
 
     boards = BoardPoses.of(parts.scene, options.seed)
@@ -119,7 +119,7 @@ class _Run:
 
     def __init__(
         self,
-        parts: _Parts,
+        parts: DemoParts,
         simulated: SimulatedCell,
         options: DemoOptions,
         calibration: Calibration,
@@ -177,7 +177,7 @@ class _Run:
                 pass
 
 
-def _read(name: str) -> _Parts:
+def read_demo_parts(name: str) -> DemoParts:
     """Return what the demo of a scene is made of: a shipped scene by its name, or a file beside its recipe."""
     with as_file(files("slabcell") / "data" / "config") as folder:
         config = load_config(folder / "demo.toml")
@@ -194,7 +194,7 @@ def _read(name: str) -> _Parts:
         except SceneError as error:
             raise ConfigurationError(str(error)) from error
         recipe = load_recipe(recipe_file)
-    return _Parts(_as_built(config, scene), scene, recipe, arm_by_name(config.robot.model))
+    return DemoParts(_as_built(config, scene), scene, recipe, arm_by_name(config.robot.model))
 
 
 def _as_built(config: CellConfig, scene: Scene) -> CellConfig:
@@ -213,10 +213,11 @@ def _as_built(config: CellConfig, scene: Scene) -> CellConfig:
     )
 
 
-def _folder(out: Path) -> Path:
+def demo_folder(out: Path) -> Path:
+    """Return the folder of a demo, made if need be, without the ledger of an earlier one.  Raises SlabcellError."""
     try:
         out.mkdir(parents=True, exist_ok=True)
-        for stale in out.glob("ledger.sqlite*"):
+        for stale in [*out.glob("ledger.sqlite*"), *out.glob("history.sqlite*")]:
             stale.unlink()  # a demo is a new cell each time; an earlier one's ledger is not its history
     except OSError as error:
         msg = f"{out}: cannot be made a folder of the demo: {error.strerror}; choose another with --out"
@@ -224,7 +225,7 @@ def _folder(out: Path) -> Path:
     return out.resolve()
 
 
-def _document(options: DemoOptions, parts: _Parts, placements: tuple[Placement, ...], run: _Run) -> Document:
+def _document(options: DemoOptions, parts: DemoParts, placements: tuple[Placement, ...], run: _Run) -> Document:
     failures = [text for placement in placements if (text := _failure(placement))]
     result = run.result
     if result is None or result.status != "done":

@@ -92,8 +92,15 @@ class SimulatedCell:
         """Return what the camera sees now, shape (height, width)."""
         return render_world(self.world, frame_number)
 
-    def controller(self, address: tuple[str, int], *, seed: int) -> SoftwareKrc:
-        """Return a controller with the shipped programs, taught this cell's tool and bases; EKI goes to ``address``."""
+    def strew(self, seed: int) -> None:
+        """Take everything away and strew new slabs; a controller from before still moves what was there."""
+        self.world = World(self.scene, seed)
+
+    def controller(self, address: tuple[str, int], *, seed: int, speed: float | None = None) -> SoftwareKrc:
+        """Return a controller with the shipped programs, taught this cell's tool and bases; EKI goes to ``address``.
+
+        With ``speed`` it takes its time: 1 is as long as the arm does, 2 half of that.
+        """
         programs, channels = shipped_programs()
         wires = GripperWires(self.world)
         krc = SoftwareKrc(
@@ -103,6 +110,7 @@ class SimulatedCell:
             eki_addresses={CHANNEL: address},
             io=wires,
             seed=seed,
+            speed=speed,
         )
         wires.set_input = krc.set_input
         taught: Mapping[str, Frame] = {

@@ -19,6 +19,7 @@ from typing import Any, Final, cast
 from urllib.parse import urlencode
 
 from slabcell.errors import NotPermittedError, SlabcellError, TemporaryError, UnavailableError
+from slabcell.service.api.person import PERSON_HEADER
 
 __all__ = ["DEFAULT_SOCKET", "Answer", "ApiClient", "ApiEvent", "default_socket"]
 
@@ -71,11 +72,15 @@ class _Connection(http.client.HTTPConnection):
 
 
 class ApiClient:
-    """Asks the daemon at one socket; each request has a connection of its own."""
+    """Asks the daemon at one socket; each request has a connection of its own.
 
-    def __init__(self, path: Path | None = None, *, timeout_s: float = 30.0) -> None:
+    ``on_behalf_of`` names the person for whom a program asks; the daemon's records then name both.
+    """
+
+    def __init__(self, path: Path | None = None, *, timeout_s: float = 30.0, on_behalf_of: str = "") -> None:
         self.path = path or default_socket()
         self._timeout_s = timeout_s
+        self._on_behalf_of = on_behalf_of
 
     def get(self, path: str, **query: str | float | bool) -> Json:
         """Return the JSON object of a resource.  Raises SlabcellError."""
@@ -94,6 +99,8 @@ class ApiClient:
     def send(self, path: str, content: bytes | None, media_type: str, *, key: str | None = None) -> Json:
         """Have something done with content of another type."""
         headers = {"Idempotency-Key": key or str(uuid.uuid4())}
+        if self._on_behalf_of:
+            headers[PERSON_HEADER] = self._on_behalf_of
         if content is not None:
             headers["Content-Type"] = media_type
         return _object(self._ask("POST", path, content, headers))

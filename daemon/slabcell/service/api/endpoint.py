@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import json
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from starlette.routing import Route
 from slabcell.errors import SlabcellError
 from slabcell.service.api.idempotency import KEY_HEADER, Once, check_key
 from slabcell.service.api.peer import Peer
+from slabcell.service.api.person import PERSON, PERSON_HEADER
 from slabcell.service.api.problems import ProblemError, problem_of, respond
 
 __all__ = ["Body", "Call", "Endpoint", "Query", "make_route"]
@@ -104,7 +106,7 @@ def make_route(endpoint: Endpoint[Context], context: Context, once: Once) -> Rou
         try:
             query = _query(endpoint, request)
             raw = await _read_body(request, endpoint.body_bytes) if endpoint.writes else b""
-            call = Call(context, request, request.state.peer, query, _body(endpoint, request, raw), raw)
+            call = Call(context, request, _peer(request), query, _body(endpoint, request, raw), raw)
             if not endpoint.keyed:
                 return await _answer(endpoint, call)
             key = check_key(request.headers.get(KEY_HEADER))
@@ -115,6 +117,18 @@ def make_route(endpoint: Endpoint[Context], context: Context, once: Once) -> Rou
             return Response(status_code=HTTPStatus.BAD_REQUEST)  # nobody reads it
 
     return Route(endpoint.path, serve, methods=[endpoint.method])
+
+
+def _peer(request: Request) -> Peer:
+    """Return who asks, and for whom; the records of this request name both."""
+    peer: Peer = request.state.peer
+    person = request.headers.get(PERSON_HEADER)
+    if person is None:
+        return peer
+    if not PERSON.fullmatch(person):
+        raise ProblemError(422, f"{PERSON_HEADER}: {person!r:.60} is no name: 1 to 32 of a-z 0-9 . _ -")
+    request.state.peer = peer = dataclasses.replace(peer, person=person)
+    return peer
 
 
 async def _answer(endpoint: Endpoint[Context], call: Call[Context]) -> Response:

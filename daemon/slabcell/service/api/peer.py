@@ -23,13 +23,16 @@ class Peer:
     pid: int
     uid: int
     gid: int
+    person: str = ""
+    """For whom it asks, as it says."""
 
     def __str__(self) -> str:
-        """Name the user, for the audit."""
+        """Name the user, for the audit, and behind whom it stands."""
         try:
-            return pwd.getpwuid(self.uid).pw_name
+            user = pwd.getpwuid(self.uid).pw_name
         except KeyError:
-            return f"uid {self.uid}"
+            user = f"uid {self.uid}"
+        return f"{self.person} (through {user})" if self.person else user
 
 
 NOBODY: Final = Peer(0, 65_534, 65_534)

@@ -1,0 +1,73 @@
+"""Who did what?  Every write that came over the pages, allowed or not, with its outcome."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Final
+
+from slabcell.hmi.security.store import Store
+
+__all__ = ["Audit", "AuditLine"]
+
+KEPT: Final = 50_000
+PRUNE_EVERY: Final = 256
+SECRET: Final = frozenset({"password", "again", "token", "csrf", "old"})
+MAX_TEXT: Final = 500
+
+
+@dataclass(frozen=True, slots=True)
+class AuditLine:
+    """One write."""
+
+    id: int
+    at_utc: str
+    user: str
+    role: str
+    address: str
+    action: str
+    content: str
+    status: int
+    outcome: str
+
+
+class Audit:
+    """The log of one HMI; the oldest of many lines go."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+
+    async def add(
+        self, user: str, role: str, address: str, action: str, content: Mapping[str, str], status: int, outcome: str
+    ) -> None:
+        """Add a line; what is secret in the content is left out."""
+        shown = {name: value[:100] for name, value in content.items() if name not in SECRET}
+        values = (
+            datetime.now(UTC).isoformat(timespec="milliseconds"),
+            *(user[:64], role, address, action[:200], json.dumps(shown)[:MAX_TEXT], status, outcome[:MAX_TEXT]),
+        )
+
+        def work(db: sqlite3.Connection) -> None:
+            row = db.execute(
+                "INSERT INTO audit (at_utc, user, role, address, action, content, status, outcome)"
+                " VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+                values,
+            ).lastrowid
+            if row is not None and row % PRUNE_EVERY == 0:
+                db.execute("DELETE FROM audit WHERE id <= ?", (row - KEPT,))
+
+        await self._store.run(work)
+
+    async def page(self, *, before: int = 1 << 60, limit: int = 100) -> list[AuditLine]:
+        """Return the newest lines with an id below ``before``."""
+        rows = await self._store.run(
+            lambda db: db.execute(
+                "SELECT id, at_utc, user, role, address, action, content, status, outcome FROM audit"
+                " WHERE id < ? ORDER BY id DESC LIMIT ?",
+                (before, limit),
+            ).fetchall()
+        )
+        return [AuditLine(*row) for row in rows]
