@@ -188,6 +188,17 @@ def test_dialogs_are_answered_from_the_command_line_by_text_or_number(slabcell, 
     assert "left, but not sure" in done.stdout
 
 
+def test_a_submit_program_runs_beside_the_program_if_it_is_named(slabcell, tmp_path):
+    (tmp_path / "sps.sub").write_text("DEF sps()\nWAIT SEC 0.1\n$FLAG[5]=TRUE\nEND\n")
+    (tmp_path / "main.src").write_text("DEF main()\nWAIT FOR $FLAG[5]\nEND\n")
+    done = slabcell("krc", "run", "main", "--project", tmp_path, "--submit", "sps")
+    assert done.returncode == 0, done.stdout
+    assert slabcell("krc", "run", "main", "--project", tmp_path, "--timeout", "0.5").returncode == 1
+    unknown = slabcell("krc", "run", "main", "--project", tmp_path, "--submit", "other")
+    assert unknown.returncode == 1
+    assert "there is no program other" in unknown.stdout
+
+
 def test_an_answer_that_the_dialog_does_not_have_is_wrong_usage_and_names_those_it_has(slabcell, tmp_path):
     (tmp_path / "ask.src").write_text(ASKING)
     done = slabcell("krc", "run", "ask", "--project", tmp_path, "--answer", "up")

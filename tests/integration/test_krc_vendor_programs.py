@@ -95,6 +95,7 @@ RET=EKI_CheckBuffer(CFG[],"res/grasps/le/pose/@X")
 S_COUNT=RET.Buff
 FOR I=1 TO S_COUNT
  S_GRASP[I].POSE=$NULLFRAME
+ S_GRASP[I].QUALITY=0.0
  RET=EKI_GetFrame(CFG[],"res/grasps/le/pose",S_GRASP[I].POSE)
  RET=EKI_GetReal(CFG[],"res/grasps/le/quality",S_GRASP[I].QUALITY)
 ENDFOR

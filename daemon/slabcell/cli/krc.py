@@ -51,6 +51,9 @@ def run(
         list[str] | None,
         typer.Option("--answer", help="Answer to the next dialog: number or text of a softkey; once for each dialog"),
     ] = None,
+    submit: Annotated[
+        str, typer.Option("--submit", help="Program that the submit interpreter runs beside it, SPS for example")
+    ] = "",
     keep: Annotated[
         Path | None, typer.Option("--keep", help="Folder for the data lists as they are at the end")
     ] = None,
@@ -78,6 +81,7 @@ def run(
         trace=recorder.take,
         trace_kinds=recorder.kinds,
         dialog=operator.answer,
+        submit=submit,
         on_trajectory=moves.append if picture is not None else None,
     ) as krc:
         for assignment in assignments or ():

@@ -196,11 +196,18 @@ class _NotHere:
         raise KrlError(RunMessage.NOT_SUPPORTED, f"{self._name}: this controller has no such interface")
 
 
-def _channel_write(host: Host, handle: Value, state: Place | None, *arguments: Value) -> None:
-    """CWRITE to $CMD and its kin: noted as a message, done by nobody."""
-    del handle, arguments
-    _set_state(state, "CMD_OK", 1, 0)
-    host.messages.show("NOTIFY", "CWRITE", 0, "a command to the system was not carried out")
+def _channel_write(
+    host: Host, handle: Value, state: Place | None, mode: Value, template: Value, *values: Value
+) -> None:
+    """CWRITE: commands to $CMD; the controller refuses those that it cannot carry out."""
+    del mode
+    if handle != host.system.read("$CMD"):
+        raise KrlError(RunMessage.NOT_SUPPORTED, "CWRITE: this controller has no serial or external channels")
+    command = _format_text(text(template), values)
+    done = host.command(command)
+    _set_state(state, "CMD_OK" if done else "CMD_REJ", 1, len(command))
+    if not done:
+        host.messages.show("NOTIFY", "CWRITE", 0, f"{command}: not carried out here")
 
 
 BUFFER_BUILTINS: dict[str, Builtin] = {
@@ -208,7 +215,7 @@ BUFFER_BUILTINS: dict[str, Builtin] = {
     "SREAD": Builtin(_read_text, 4, 34, frozenset({0, 1, 2}), rest_out=True),
     "CAST_TO": Builtin(_cast_to, 3, 34, frozenset({0, 1}), rest_out=True),
     "CAST_FROM": Builtin(_cast_from, 3, 34, frozenset({0, 1}), rest_out=True),
-    "CWRITE": Builtin(_channel_write, 2, 34, frozenset({1})),
+    "CWRITE": Builtin(_channel_write, 4, 34, frozenset({1})),
     "CREAD": Builtin(_NotHere("CREAD"), 1, 34),
     "COPEN": Builtin(_NotHere("COPEN"), 1, 4),
     "CCLOSE": Builtin(_NotHere("CCLOSE"), 1, 4),

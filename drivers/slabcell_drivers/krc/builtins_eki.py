@@ -96,11 +96,23 @@ def _store(place: Place, value: object) -> EkiMessage:
     return EkiMessage.NONE
 
 
+def _is_set(value: Value) -> bool:
+    """Tell whether a variable was ever set: EKI takes no other to write to."""
+    if isinstance(value, StructValue):
+        return bool(value.fields)
+    if isinstance(value, CharArray):
+        return value.text is not None
+    return value is not None
+
+
 def _getter(kind: str) -> Callable[..., Value]:
     element = _KINDS[kind][0]
 
     def call(host: Host, channel: Value, path: Value, target: Place) -> Value:
         host.eki.poll(0.0)
+        if not _is_set(target.value):
+            text_ = f"EKI_Get{kind.capitalize()}: the variable for {text(path)} has to be initialised before"
+            raise KrlError(RunMessage.VALUE_INVALID, text_)
         status, value = host.eki.get_value(text(channel), text(path), element)
         if value is not None and (message := _store(target, value)):
             status = replace(status, msg_no=message, read=0)

@@ -70,6 +70,10 @@ class Host(Protocol):
         """HALT."""
         ...
 
+    def command(self, command: str) -> bool:
+        """Carry out a command such as ``CANCEL 1``; return whether this controller can."""
+        ...
+
     def confirm(self, message: Value) -> None:
         """CONFIRM: acknowledge one message, or all."""
         ...

@@ -45,6 +45,9 @@ __all__ = ["BUILTINS", "Hooks", "Kernel"]
 STATEMENT_S = 50e-6
 """Time that one operation takes: 240 of them in a tick.  Not published; loops that wait without WAIT need some."""
 
+_COMMANDS = {"CANCEL": "cancelled", "RESET": "reset", "STOP": "stopped"}
+"""What CWRITE can order, and how the program ends then."""
+
 BUILTINS: Mapping[str, Builtin] = {
     **BASIC_BUILTINS,
     **MOTION_BUILTINS,
@@ -237,6 +240,14 @@ class Kernel:
         """Let the program run: nothing holds it."""
         self.ending = None
         self.interpreter.stops = False
+
+    def command(self, command: str) -> bool:
+        """Carry out a command to the robot interpreter; starting a program is the business of `SoftwareKrc.run`."""
+        word, _, number = command.strip().upper().partition(" ")
+        if word not in _COMMANDS or number.strip() not in {"", "1"}:
+            return False
+        self.end(_COMMANDS[word], RunMessage.CANCELLED, f"{command} by CWRITE")
+        return True
 
     def confirm(self, message: Value) -> None:
         """CONFIRM: acknowledge one message, or all."""

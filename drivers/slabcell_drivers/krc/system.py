@@ -287,6 +287,7 @@ class SystemVariables:
         self._variable("$KR_SERIALNO", INT, 0)
         self._variable("$TRAFONAME", ArrayType(CHAR, (32,)), f"#{state.arm.name.upper()}"[:32])
         self._variable("$INTERPRETER", INT, 1)
+        self._variable("$CMD", INT, 1)
         self._variable("$MSG_PRESENT", BOOL, value=False)
         self._variable("$LOOP_MSG", ArrayType(CHAR, (128,)))
         self._computed("$ROBRUNTIME", INT, lambda: int(clock.now_s / 60.0), traits=_TIME)

@@ -35,6 +35,8 @@ ASSUMPTIONS: dict[str, str] = {
     "axis-acceleration": "Every axis reaches its full speed in 0.25 s; accelerations of the arms are not public.",
     "singular-limit": "The wrist is singular below 0.01822 degrees of A5.",
     "motion-numbers": "Unreachable points and singularities on a path carry message numbers of our own.",
+    "uninitialised-target": "EKI_Get into a variable that was never set stops the program with 1422; the manual asks "
+    "for initialised variables.",
     "char-array-too-small": "A text longer than the CHAR array of EKI_GetString is taken from its memory, and lost.",
 }
 """Every assumption by name, one sentence each."""

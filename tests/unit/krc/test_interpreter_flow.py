@@ -581,6 +581,58 @@ def test_the_submit_program_runs_beside_the_selected_one_and_sees_its_data():
     krc.cancel_submit()
 
 
+@pytest.mark.parametrize(
+    ("command", "status"), [("CANCEL 1", "cancelled"), ("reset 1", "reset"), ("STOP %d", "stopped")]
+)
+def test_a_submit_program_stops_the_robot_program_by_cwrite(command, status):
+    values = ",1" if "%" in command else ""
+    submit = (
+        "DEF sps()\nDECL STATE_T s\nDECL MODUS_T m\nm=#SYNC\nWAIT SEC 0.1\n"
+        f'CWRITE($CMD,s,m,"{command}"{values})\nanswer=s.RET1\nEND\n'
+    )
+    krc = SoftwareKrc(
+        {
+            "sps.sub": submit.encode(),
+            "t.src": b"DEF t()\nWAIT SEC 5\nEND\n",
+            "t.dat": b"DEFDAT t PUBLIC\nDECL GLOBAL CMD_STAT answer\nENDDAT\n",
+        },
+        robot=KR3_R540,
+        submit="sps",
+    )
+    result = krc.run("t", max_wall_s=60)
+    assert (result.status, result.message) == (status, f"{command.replace('%d', '1')} by CWRITE")
+
+
+@pytest.mark.parametrize("command", ["RUN /R1/CELL()", "STOP 0", "CANCEL 2"])
+def test_a_command_that_cannot_be_carried_out_is_refused_and_noted(command):
+    bench = done(
+        f'm=#SYNC\nCWRITE($CMD,s,m,"{command}")\nanswer=s.RET1',
+        "DECL STATE_T s\nDECL MODUS_T m",
+        data="DECL CMD_STAT answer",
+    )
+    assert bench.data("answer") == "#CMD_REJ"
+    assert [m.text for m in bench.krc.messages] == [f"{command}: not carried out here"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "declaration", "value", "target"),
+    [
+        ("Int", "INT v", "0", "v"),
+        ("Real", "REAL v", "0.0", "v"),
+        ("Bool", "BOOL v", "FALSE", "v"),
+        ("Frame", "FRAME v", "$NULLFRAME", "v"),
+        ("String", "CHAR v[8]", '" "', "v[]"),
+    ],
+)
+def test_eki_writes_to_no_variable_that_was_never_set(kind, declaration, value, target):
+    get = f'RET=EKI_Get{kind}("Ch","A/B",{target})'
+    declarations = f"DECL {declaration}\nDECL EKI_STATUS RET"
+    result = Bench(get, declarations).run()
+    assert (result.status, result.message_number) == ("error", 1422)
+    assert "has to be initialised before" in result.message
+    assert done(f"{target}={value}\n{get}\nn=RET.MSG_NO", declarations, data="INT n").data("n") == 9
+
+
 def test_an_error_in_the_submit_program_ends_it_and_not_the_robot():
     krc = SoftwareKrc(
         {"sps.sub": b"DEF sps()\nPTP {A1 0}\nEND\n", "t.src": b"DEF t()\nWAIT SEC 0.1\nEND\n"},
