@@ -11,8 +11,7 @@ import typer
 
 from slabcell.errors import SlabcellError, UsageError
 from slabcell_drivers.krc import KrlError, RunResult, SoftwareKrc, TraceEvent, read_project
-from slabcell_drivers.krc.motion import Trajectory
-from slabcell_drivers.krc.path_picture import draw_path, segment_of
+from slabcell_drivers.krc.path_picture import PathPen, draw_path
 from slabcell_drivers.krc.smartpad import ShownMessage
 from slabcell_drivers.robot.arm import ArmModel, arm_by_name
 from slabcell_drivers.robot.machine_data import MachineDataError, parse_machine_data
@@ -69,7 +68,7 @@ def run(
         msg = f"{project}: there is no such folder; --project takes the folder that holds the .src and .dat files"
         raise UsageError(msg)
     recorder = _Recorder(_wanted(trace), echo=not as_json)
-    moves: list[Trajectory] = []
+    pen = PathPen() if picture is not None else None
     operator = _Operator(answers or ())
     with SoftwareKrc(
         read_project(project),
@@ -79,17 +78,18 @@ def run(
         seed=seed,
         speed=_speed(speed),
         trace=recorder.take,
-        trace_kinds=recorder.kinds,
+        trace_kinds=recorder.kinds | ({"path"} if pen is not None else set[str]()),
+        io=pen,
         dialog=operator.answer,
         submit=submit,
-        on_trajectory=moves.append if picture is not None else None,
+        on_trajectory=pen.begin if pen is not None else None,
     ) as krc:
         for assignment in assignments or ():
             _assign(krc, assignment)
         operator.gives_up = krc.cancel
         result = _run(krc, program, timeout_s)
-        if picture is not None:
-            _write(picture, draw_path([segment_of(move) for move in moves], title=program).encode())
+        if picture is not None and pen is not None:
+            _write(picture, _drawn(pen, program))
         if keep is not None:
             for name, content in krc.data_files().items():
                 _write(keep / name, content)
@@ -208,6 +208,14 @@ def _write(path: Path, content: bytes) -> None:
         path.write_bytes(content)
     except OSError as error:
         msg = f"{path}: cannot be written: {error.strerror}"
+        raise SlabcellError(msg) from error
+
+
+def _drawn(pen: PathPen, title: str) -> bytes:
+    try:
+        return draw_path(pen.segments, title=title, marks=pen.marks).encode()
+    except ValueError as error:
+        msg = f"--picture: {error}"
         raise SlabcellError(msg) from error
 
 

@@ -11,13 +11,16 @@ from xml.sax.saxutils import escape
 
 from slabcell_drivers.krc.motion import MotionKind, Trajectory
 from slabcell_drivers.krc.motion_path import Vector
+from slabcell_drivers.robot.frame import Frame
 
-__all__ = ["PathMark", "PathSegment", "draw_path", "segment_of"]
+__all__ = ["PathMark", "PathPen", "PathSegment", "draw_path", "segment_of"]
 
 WIDTH_PX = 900
 MARGIN_PX = 50
 MAX_POINTS = 200_000
 SEGMENT_STEP_S = 0.012
+FINEST_MM = 0.1
+"""A pen leaves out places that are nearer to the last one."""
 COLOURS = {
     MotionKind.PTP: "#8c6bb1",
     MotionKind.LIN: "#2b7bba",
@@ -49,6 +52,45 @@ def segment_of(trajectory: Trajectory) -> PathSegment:
     steps = max(1, min(MAX_POINTS, math.ceil(trajectory.duration_s / SEGMENT_STEP_S)))
     times = (trajectory.duration_s * step / steps for step in range(steps + 1))
     return PathSegment(trajectory.kind, tuple(trajectory.tcp_at(time_s).position for time_s in times))
+
+
+class PathPen:
+    """Follows the tool of a controller: the way that it really goes, approximations and stops included.
+
+    It is a `CellIo` of `SoftwareKrc`, whose ``on_trajectory`` calls `begin`; trace the kind "path", so that every step
+    of the way is told.
+    """
+
+    def __init__(self) -> None:
+        self._lines: list[tuple[MotionKind, list[Vector]]] = []
+        self.marks: list[PathMark] = []
+
+    @property
+    def segments(self) -> list[PathSegment]:
+        """The ways of the motions so far."""
+        return [PathSegment(kind, tuple(points)) for kind, points in self._lines]
+
+    def begin(self, trajectory: Trajectory) -> None:
+        """Take note that this motion begins, where the last one has brought the tool."""
+        start = self._lines[-1][1][-1] if self._lines else trajectory.tcp_at(0.0).position
+        self._lines.append((trajectory.kind, [start]))
+
+    def moved(self, tcp: Frame) -> None:
+        """Draw on to there."""
+        if not self._lines:
+            return
+        points = self._lines[-1][1]
+        place = (tcp.x_mm, tcp.y_mm, tcp.z_mm)
+        # the last place of a motion always stands: it is taken over by the next step only while that is near
+        if len(points) > 2 and math.dist(points[-2], place) < FINEST_MM:
+            points[-1] = place
+        else:
+            points.append(place)
+
+    def output_changed(self, index: int, value: bool, tcp: Frame) -> None:  # noqa: FBT001  # a bit is a value
+        """Mark where an output was switched."""
+        text = f"$OUT[{index}]={'TRUE' if value else 'FALSE'}"
+        self.marks.append(PathMark((tcp.x_mm, tcp.y_mm, tcp.z_mm), text))
 
 
 def draw_path(segments: Sequence[PathSegment], *, title: str = "", marks: Sequence[PathMark] = ()) -> str:

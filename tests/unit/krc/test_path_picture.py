@@ -1,9 +1,12 @@
+import math
+from itertools import pairwise
 from xml.etree import ElementTree as ET
 
 import pytest
 
+from slabcell_drivers.krc.controller import SoftwareKrc
 from slabcell_drivers.krc.motion import MotionKind, PathLimits, plan_lin, plan_ptp
-from slabcell_drivers.krc.path_picture import PathMark, PathSegment, draw_path, segment_of
+from slabcell_drivers.krc.path_picture import PathMark, PathPen, PathSegment, draw_path, segment_of
 from slabcell_drivers.robot.arm import KR3_R540
 from slabcell_drivers.robot.frame import Frame
 
@@ -45,3 +48,46 @@ def test_no_move_at_all_gives_an_empty_picture() -> None:
 def test_a_picture_with_too_many_points_is_refused() -> None:
     with pytest.raises(ValueError, match="at most 200000"):
         draw_path([PathSegment(MotionKind.LIN, ((0.0, 0.0, 0.0),) * 200_001)])
+
+
+def drawn(approximation: str) -> PathPen:
+    pen = PathPen()
+    source = f"""DEF t()
+BAS(#INITMOV,0)
+$TOOL=$NULLFRAME
+$BASE=$NULLFRAME
+$APO.CDIS=20
+PTP {{A1 0,A2 -90,A3 90,A4 0,A5 30,A6 0}}
+PTP {{X 350,Y -100,Z 400,A 0,B 0,C 180}}
+LIN {{X 350,Y 100}} {approximation}
+LIN {{X 250,Y 100}}
+$OUT[3]=TRUE
+END
+"""
+    krc = SoftwareKrc(
+        {"t.src": source.encode()},
+        robot=KR3_R540,
+        io=pen,
+        on_trajectory=pen.begin,
+        trace=lambda _event: None,
+        trace_kinds=frozenset({"path"}),
+    )
+    assert krc.run("t", max_wall_s=60).status == "done"
+    return pen
+
+
+def distance_to_corner(pen: PathPen) -> float:
+    return min(math.dist(point, (350.0, 100.0, 400.0)) for segment in pen.segments for point in segment.points)
+
+
+def test_a_pen_follows_the_way_that_the_tool_really_goes() -> None:
+    exact, rounded = drawn(""), drawn("C_DIS")
+    assert [segment.kind.value for segment in exact.segments] == ["PTP", "PTP", "LIN", "LIN"]
+    assert distance_to_corner(exact) < 0.5
+    assert 3.0 < distance_to_corner(rounded) < 20.0
+    for pen in (exact, rounded):
+        assert pen.segments[-1].points[-1] == pytest.approx((250.0, 100.0, 400.0), abs=1e-3)
+        (mark,) = pen.marks
+        assert (mark.text, mark.position) == ("$OUT[3]=TRUE", pytest.approx((250.0, 100.0, 400.0), abs=1e-3))
+        for before, after in pairwise(pen.segments):
+            assert before.points[-1] == after.points[0]
