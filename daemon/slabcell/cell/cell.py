@@ -99,6 +99,7 @@ class Cell:
             conditions=self._conditions,
         )
         self._turn = asyncio.Lock()
+        self._changing = asyncio.Lock()
         self._clock = clock
         self._serving_since_s: float | None = None
         self._tasks: set[asyncio.Task[Answer]] = set()
@@ -278,10 +279,19 @@ class Cell:
         while a cycle is on its way, and LookError if there is no usable picture.
         """
         async with self._turn:
-            if self.state not in {CellState.READY, CellState.HALTED}:
-                msg = f"the cell is {self.state}: a picture is taken on request when it is ready or halted"
-                raise SlabcellError(msg, number=Fault.NOT_READY)
+            self._require_leisure()
             return await self._execution.look(self.job)
+
+    async def snap(self) -> None:
+        """Take a picture for people to look at, as `look` does, but do not look for slabs in it."""
+        async with self._turn:
+            self._require_leisure()
+            await self._execution.snap()
+
+    def _require_leisure(self) -> None:
+        if self.state not in {CellState.READY, CellState.HALTED}:
+            msg = f"the cell is {self.state}: a picture is taken on request when it is ready or halted"
+            raise SlabcellError(msg, number=Fault.NOT_READY)
 
     async def abandon_job(self, by: str = "a person") -> Job:
         """Close the open job before it is complete; the next trigger begins a new one.  Raises SlabcellError."""
@@ -302,9 +312,16 @@ class Cell:
     ) -> None:
         """Work with another recipe, calibration or settings from the next trigger on.
 
-        Raises SlabcellError while a cycle is on its way and, for a recipe, while a job is open; CalibrationError; and
-        ModelError for a model that the recipe names and that cannot be used.
+        Raises SlabcellError while a cycle is on its way and, for a recipe or a calibration, while a job is open;
+        CalibrationError; and ModelError for a model that the recipe names and that cannot be used.
         """
+        async with self._changing:  # what one change has not yet written another must not take for granted
+            await self._change(recipe, calibration, settings)
+
+    async def _change(
+        self, recipe: Recipe | None, calibration: Calibration | None, settings: CellSettings | None
+    ) -> None:
+        calibration_given = calibration is not None
         recipe, settings = recipe or self.recipe, settings or self.settings
         calibration = _as_kept(calibration or self._calibration)
         calibration.require_plane()
@@ -314,12 +331,13 @@ class Cell:
             if self.state not in {CellState.READY, CellState.HALTED}:
                 msg = f"the cell is {self.state}: this changes only when it is ready or halted"
                 raise SlabcellError(msg, number=Fault.NOT_READY)
+            changed = "recipe" if recipe is not self.recipe else "calibration" if calibration_given else ""
+            if changed and self.job is not None and self.job.state is JobState.OPEN:
+                msg = (
+                    f"job {self.job.job_id} is open: a {changed} changes only between jobs; finish or abandon it first"
+                )
+                raise SlabcellError(msg, number=Fault.NOT_READY)
             if recipe is not self.recipe:
-                if self.job is not None and self.job.state is JobState.OPEN:
-                    msg = (
-                        f"job {self.job.job_id} is open: a recipe changes only between jobs; finish or abandon it first"
-                    )
-                    raise SlabcellError(msg, number=Fault.NOT_READY)
                 self._desk.change(recipe)
             self._looking.change(calibration, eyes, planner, settings)
             self._execution.change(settings)

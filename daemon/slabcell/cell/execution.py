@@ -66,6 +66,10 @@ class Execution:
         """Go by other settings from the next trigger on."""
         self._settings = settings
 
+    async def snap(self) -> None:
+        """Take a picture for people to look at; the vision is not asked.  Raises `LookError`."""
+        await self._looking.acquire(CycleRecord(0, 0, 0, 0))
+
     async def look(self, job: Job | None) -> CycleRecord:
         """Take a picture and see what could be laid, because a person wants to know.  Nothing is offered or written.
 

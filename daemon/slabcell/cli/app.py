@@ -30,6 +30,7 @@ VERBS: Final[dict[str, tuple[str, str, str]]] = {
     "events": ("slabcell.cli.events", "events_command", "Follow what happens in the running cell."),
     "locate": ("slabcell.cli.locate", "locate_command", "Find the slabs on image files, and the slot of each."),
     "calibrate": ("slabcell.cli.calibrate", "calibrate_app", "Make a calibration from images of a board."),
+    "calibration": ("slabcell.cli.calibration", "calibration_app", "See and change calibrations on the running cell."),
     "ledger": ("slabcell.cli.ledger", "ledger_app", "Show, export and settle the record of offers."),
     "install": ("slabcell.cli.install", "install_command", "Lay this version out on the cell PC, with its service."),
     "doctor": ("slabcell.cli.doctor", "doctor_command", "Say what is wrong with this cell and what to do."),

@@ -37,9 +37,8 @@ from slabcell.calibration import (
 )
 from slabcell.calibration.coverage import draw_coverage
 from slabcell.calibration.detection import Picture
+from slabcell.calibration.report import camera_document, hand_eye_document, plane_document
 from slabcell.cli.calibrate_report import (
-    camera_document,
-    plane_document,
     print_camera,
     print_check,
     print_hand_eye,
@@ -97,7 +96,7 @@ def camera_command(
     if coverage is not None:
         _write_png(coverage, draw_coverage(result.coverage, result.residuals))
     if as_json:
-        typer.echo(json.dumps(camera_document(result, out, failures)))
+        typer.echo(json.dumps(camera_document(result, str(out), failures)))
     else:
         print_camera(result, out, failures)
 
@@ -145,7 +144,7 @@ def plane_command(
     )
     save_calibration(out, result.calibration)
     if as_json:
-        typer.echo(json.dumps(plane_document(result, out, failures)))
+        typer.echo(json.dumps(plane_document(result, str(out), failures)))
     else:
         print_plane(result, out, failures)
 
@@ -209,8 +208,7 @@ def hand_eye_command(
     )
     save_calibration(out, result.calibration)
     if as_json:
-        document = {"schema": "slabcell.calibrate-hand-eye/1", "out": str(out), **result.to_document()}
-        typer.echo(json.dumps({**document, "not_found": failures}))
+        typer.echo(json.dumps(hand_eye_document(result, str(out), failures)))
     else:
         print_hand_eye(result, out, failures)
 

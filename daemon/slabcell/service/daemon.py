@@ -30,6 +30,7 @@ from slabcell.service.background import Background
 from slabcell.service.bench.workbench import Workbench
 from slabcell.service.builder import CellParts, open_cell, read_parts
 from slabcell.service.bundles import BundleShelf
+from slabcell.service.calibrations import CalibrationShelf
 from slabcell.service.camera_keeper import CameraKeeper
 from slabcell.service.config import CellConfig
 from slabcell.service.config_layers import load_config
@@ -67,11 +68,13 @@ async def run_daemon(path: Path, *, ready: Callable[[tuple[str, int]], None] | N
     config = load_config(path)
     folder = state_directory(config.state_directory)
     shelf = RecipeShelf(config.recipe, folder)
-    parts = read_parts(config.model_copy(update={"recipe": shelf.active}), path)
+    calibrations = CalibrationShelf(config.calibration, folder)
+    used = {"recipe": shelf.active, "calibration": calibrations.active}
+    parts = read_parts(config.model_copy(update=used), path)
     stopping, reload = asyncio.Event(), asyncio.Event()
     with _signals({signal.SIGTERM: stopping, signal.SIGINT: stopping, signal.SIGHUP: reload}), InstanceLock(folder):
         async with running_cell(config, parts, folder) as (context, address, ledger):
-            context.recipes = shelf
+            context.recipes, context.calibrations = shelf, calibrations
             recipe = context.cell.recipe.name
             _log.info("ready", cell=config.name, recipe=recipe, robot=f"{address[0]}:{address[1]}")
             if ready is not None:
@@ -156,6 +159,7 @@ async def running_cell(
         context.metrics = metrics.text
         stack.callback(cell.subscribe(metrics.see))
         keeper = CameraKeeper(camera, cell, links, lambda: cell.calibration)
+        context.camera = lambda: keeper.info
         disk = DiskWatch(folder, cell.alarms, links)
         await stack.enter_async_context(_beside(keeper.run(), disk.run()))
         socket_path = api_socket(config.api.socket, folder)

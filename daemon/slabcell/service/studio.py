@@ -11,6 +11,7 @@ from slabcell.service.background import Background
 from slabcell.service.bench.workbench import Workbench
 from slabcell.service.expiring import Expiring
 from slabcell.service.pictures import Pictures
+from slabcell.service.views import Views
 
 __all__ = ["Preview", "Studio"]
 
@@ -42,6 +43,7 @@ class Studio:
     bench: Workbench
     pictures: Pictures
     background: Background = field(default_factory=Background)
+    views: Views = field(default_factory=Views)
     previews: Expiring[Preview] = field(default_factory=_previews)
 
     def keep(self, preview: Preview) -> str:

@@ -19,6 +19,7 @@ from slabcell.service.api.problems import ProblemError, respond
 from slabcell.service.api.resources import (
     alarms,
     calibration,
+    calibration_views,
     control,
     cycles,
     events,
@@ -44,6 +45,7 @@ ENDPOINTS: tuple[Endpoint[ApiContext], ...] = (
     *recipes.ENDPOINTS,
     *recipe_work.ENDPOINTS,
     *calibration.ENDPOINTS,
+    *calibration_views.ENDPOINTS,
     *frames.ENDPOINTS,
     *looking.ENDPOINTS,
     *vision.ENDPOINTS,

@@ -11,12 +11,14 @@ from slabcell.service.active_recipe import RecipeShelf
 from slabcell.service.api.ring import EventRing
 from slabcell.service.api.stream import StreamSeats
 from slabcell.service.bundles import BundleShelf
+from slabcell.service.calibrations import CalibrationShelf
 from slabcell.service.frames import FrameStore
 from slabcell.service.history import History
 from slabcell.service.ledger_view import LedgerView
 from slabcell.service.links import Links
 from slabcell.service.robot_watch import RobotWatch
 from slabcell.service.studio import Studio
+from slabcell_drivers.camera.protocol import CameraInfo
 
 __all__ = ["ApiContext"]
 
@@ -39,5 +41,8 @@ class ApiContext:
     studio: Studio
     tell_config: Callable[[dict[str, Any]], None] = lambda _: None
     recipes: RecipeShelf | None = None
+    calibrations: CalibrationShelf | None = None
+    camera: Callable[[], CameraInfo | None] = lambda: None
+    """Who the camera is, once it was open."""
     metrics: Callable[[], bytes] | None = None
     pending_reload: list[str] = field(default_factory=list[str])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from slabcell.service.bench.boards import calibrate, check, detect
 from slabcell.service.bench.grading import grade
 from slabcell.service.bench.preview import preview
 from slabcell.service.bench.work import Task, Work
@@ -11,6 +12,9 @@ from slabcell.service.bench.work import Task, Work
 __all__ = ["TASKS", "Work"]
 
 TASKS: Final[dict[str, Task]] = {
+    "calibrate": calibrate,
+    "check": check,
+    "detect": detect,
     "grade": grade,
     "preview": preview,
 }

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slabcell.calibration import save_calibration
 from slabcell.calibration.model import Calibration, CameraIdentity, Lens, TablePlane
 from slabcell.cell.settings import CellSettings
 from slabcell.geometry import Polygon
@@ -19,6 +20,7 @@ from slabcell.service.api.stream import StreamSeats
 from slabcell.service.bench.workbench import Workbench
 from slabcell.service.builder import CellParts, open_cell
 from slabcell.service.bundles import BundleShelf
+from slabcell.service.calibrations import CalibrationShelf
 from slabcell.service.event_feed import EventFeed
 from slabcell.service.frames import FrameStore
 from slabcell.service.history import History
@@ -71,6 +73,8 @@ async def api(tmp_path: Path) -> AsyncIterator[ApiContext]:
         recipes.mkdir()
         (recipes / "squares.csv").write_text("0,0,30,0,30,30,0,30\n")
         (recipes / "squares.toml").write_text('[template]\nfile = "squares.csv"\nthickness_mm = 10.0\n')
+        calibrations = CalibrationShelf(tmp_path / "calibration.json", tmp_path)
+        save_calibration(tmp_path / "calibration.json", cell.calibration)
         context = ApiContext(
             name="test",
             started_s=0.0,
@@ -85,6 +89,7 @@ async def api(tmp_path: Path) -> AsyncIterator[ApiContext]:
             bundles=bundles,
             studio=studio,
             recipes=RecipeShelf(recipes / "squares.toml", tmp_path),
+            calibrations=calibrations,
         )
         path = tmp_path / "api.sock"
         async with serve(make_app(context), listen(path, mode=0o660, group=None), path):

@@ -1,17 +1,49 @@
-"""With which calibration does the cell look?"""
+"""With which calibration does the cell look, which others are there, and does it still hold?"""
 
 from __future__ import annotations
 
-from typing import Any, Literal
+import asyncio
+import json
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
-from slabcell.calibration.file import to_document
+from slabcell.calibration import Calibration, CameraIdentity, calibration_from_document, load_calibration
+from slabcell.calibration.compare import distance
+from slabcell.calibration.file import MAX_BYTES, to_document
+from slabcell.errors import CalibrationError
 from slabcell.service.api.context import ApiContext
-from slabcell.service.api.documents import Document
-from slabcell.service.api.endpoint import Call, Endpoint
+from slabcell.service.api.documents import Document, Done
+from slabcell.service.api.endpoint import Body, Call, Endpoint
+from slabcell.service.api.problems import ProblemError
+from slabcell.service.api.resources.vision import chosen_picture
+from slabcell.service.bench.wire import Json
+from slabcell.service.calibrations import CalibrationEntry, CalibrationShelf
 
-__all__ = ["ENDPOINTS"]
+__all__ = ["DETECTION_TIMEOUT_S", "ENDPOINTS", "BoardBody", "board_in", "calibration_named", "shelf_of"]
+
+DETECTION_TIMEOUT_S: Final = 30.0
+BoardText = Annotated[str, Field(max_length=200, description="as on the command line, e.g. checkerboard:12x9:25")]
+
+
+class BoardBody(Body):
+    """Which board, and in which picture."""
+
+    board: BoardText
+    picture: Annotated[str, Field(max_length=80)] = Field(
+        default="latest", description="latest, cycle:NUMBER, or upload:ID of an uploaded picture"
+    )
+
+
+class CheckBody(BoardBody):
+    """A board that lies on the table."""
+
+    board_thickness_mm: Annotated[float, Field(ge=0, le=200)] = Field(
+        default=0.0, description="height of the printed face above the table"
+    )
+    limit_mm: Annotated[float, Field(ge=0.001, le=100)] = Field(
+        default=0.2, description="drift above which the calibration no longer holds"
+    )
 
 
 class CalibrationDocument(Document):
@@ -21,13 +53,198 @@ class CalibrationDocument(Document):
     calibration: dict[str, Any] = Field(description="a slabcell.calibration/1 object")
 
 
+class DriftDocument(Document):
+    """How far two calibrations differ about where the same pixels lie on the table."""
+
+    mean_mm: float
+    worst_mm: float
+
+
+class KeptCalibrationDocument(Document):
+    """One calibration that is kept."""
+
+    name: str = Field(description="configured, or the name that it was kept under")
+    active: bool
+    created: str
+    sha256: str
+    serial: str
+    width: int
+    height: int
+    has_plane: bool
+    has_hand_eye: bool
+    rms_px: float | None
+    drift: DriftDocument | None = Field(
+        description="from this one to the active one; null where they cannot be compared"
+    )
+    problem: str = Field(description="what is wrong with its file; empty if nothing is")
+
+
+class CalibrationsDocument(Document):
+    """Every calibration of the cell, the newest first."""
+
+    schema_: Literal["slabcell.calibrations/1"] = Field(default="slabcell.calibrations/1", alias="schema")
+    calibrations: list[KeptCalibrationDocument]
+
+
+class UploadedDocument(Document):
+    """A calibration that was kept."""
+
+    schema_: Literal["slabcell.calibration-kept/1"] = Field(default="slabcell.calibration-kept/1", alias="schema")
+    name: str = Field(description="what it is called; it is not active yet")
+
+
+class CheckDocument(Document):
+    """Whether the calibration still holds, by one board."""
+
+    schema_: Literal["slabcell.calibrate-check/1"] = Field(default="slabcell.calibrate-check/1", alias="schema")
+    ok: bool
+    board: dict[str, Any] = Field(description="residuals, lift and tilt of the board, its scale")
+    problems: list[str]
+
+
+def shelf_of(context: ApiContext) -> CalibrationShelf:
+    """Return where calibrations are kept.  Raises ProblemError 404."""
+    if context.calibrations is None:
+        raise ProblemError(404, "this daemon keeps no calibrations")
+    return context.calibrations
+
+
+async def calibration_named(context: ApiContext, name: str) -> Calibration:
+    """Return a calibration that is kept.  Raises ProblemError 404, or CalibrationError for a damaged one."""
+    shelf = shelf_of(context)
+    try:
+        path = await asyncio.to_thread(shelf.path_of, name)
+    except CalibrationError as error:
+        raise ProblemError(404, str(error), number=error.number) from error
+    return await asyncio.to_thread(load_calibration, path)
+
+
+async def board_in(context: ApiContext, said: BoardBody) -> tuple[str, Json]:
+    """Return the picture's name, and what the bench says of the board in it."""
+    picture = await chosen_picture(context, said.picture)
+    arguments = {**picture.arguments, "name": picture.name, "board": said.board}
+    done = await context.studio.bench.run("detect", arguments, (picture.blob,), timeout_s=DETECTION_TIMEOUT_S)
+    return picture.name, done.content
+
+
 async def _active(call: Call[ApiContext]) -> CalibrationDocument:
     return CalibrationDocument(calibration=dict(to_document(call.context.cell.calibration)))
 
 
+async def _history(call: Call[ApiContext]) -> CalibrationsDocument:
+    shelf, active = shelf_of(call.context), call.context.cell.calibration
+    entries, chosen = await asyncio.to_thread(lambda: (shelf.entries(), shelf.chosen))
+    return await asyncio.to_thread(
+        lambda: CalibrationsDocument(
+            calibrations=[_kept(entry, active, in_use=entry.name == chosen) for entry in entries]
+        )
+    )
+
+
+def _kept(entry: CalibrationEntry, active: Calibration, *, in_use: bool) -> KeptCalibrationDocument:
+    found = entry.calibration
+    apart = None if found is None else distance(found, active)
+    rms = None if found is None else found.diagnostics.get("rms_px")
+    return KeptCalibrationDocument(
+        name=entry.name,
+        active=in_use,
+        created=entry.created,
+        sha256=entry.sha256,
+        serial=found.camera.serial if found else "",
+        width=found.camera.width if found else 0,
+        height=found.camera.height if found else 0,
+        has_plane=found is not None and found.plane is not None,
+        has_hand_eye=found is not None and found.hand_eye is not None,
+        rms_px=float(rms) if isinstance(rms, int | float) else None,
+        drift=None if apart is None else DriftDocument(mean_mm=apart.mean_mm, worst_mm=apart.worst_mm),
+        problem=entry.problem,
+    )
+
+
+async def _upload(call: Call[ApiContext]) -> UploadedDocument:
+    context = call.context
+    try:
+        document: object = json.loads(call.raw)
+    except (UnicodeDecodeError, ValueError, RecursionError) as error:
+        raise ProblemError(422, f"the calibration is no JSON: {error}") from error
+    try:
+        found = calibration_from_document(document, "the calibration")
+        _require_this_camera(context, found)
+    except CalibrationError as error:
+        raise ProblemError(422, str(error), number=error.number) from error
+    return UploadedDocument(name=await asyncio.to_thread(shelf_of(context).save, found))
+
+
+def _require_this_camera(context: ApiContext, calibration: Calibration) -> None:
+    """Raise CalibrationError for a calibration of another camera than the one that is, or was last, connected."""
+    info, present = context.camera(), context.cell.calibration.camera
+    identity = present if info is None else CameraIdentity(info.width, info.height, info.serial)
+    calibration.require_camera(identity, f"camera {identity.serial or 'of the present calibration'}")
+
+
+async def _activate(call: Call[ApiContext]) -> Done:
+    context, name = call.context, call.text("name")
+    calibration = await calibration_named(context, name)
+    try:
+        calibration.require_plane()
+        _require_this_camera(context, calibration)
+    except CalibrationError as error:
+        raise ProblemError(422, str(error), number=error.number) from error
+    before = context.cell.calibration
+    await context.cell.change(calibration=calibration)
+    await asyncio.to_thread(shelf_of(context).choose, name)
+    apart = await asyncio.to_thread(distance, before, calibration)
+    moved = f"; points of the table moved by {apart.mean_mm:.3f} mm, {apart.worst_mm:.3f} at most" if apart else ""
+    return Done(detail=f"calibration {name} is in use, for restarts too{moved}")
+
+
+async def _check(call: Call[ApiContext]) -> CheckDocument:
+    context, said = call.context, call.body
+    assert isinstance(said, CheckBody)  # noqa: S101 - as the endpoint declares
+    _, seen = await board_in(context, said)
+    if seen["found"] is None:
+        raise ProblemError(422, str(seen["problem"]))
+    arguments = {
+        "board": said.board,
+        "detection": seen["found"],
+        "calibration": to_document(context.cell.calibration),
+        "board_thickness_mm": said.board_thickness_mm,
+        "limit_mm": said.limit_mm,
+    }
+    done = await context.studio.bench.run("check", arguments, timeout_s=DETECTION_TIMEOUT_S)
+    problems = [str(problem) for problem in done.content["problems"]]
+    return CheckDocument(ok=not problems, board=done.content, problems=problems)
+
+
+_TAG = "calibration"
 ENDPOINTS = (
+    Endpoint("GET", "/v1/calibration", "The calibration that is in use", _active, CalibrationDocument, _TAG),
     Endpoint(
-        *("GET", "/v1/calibration", "The calibration that is in use", _active, CalibrationDocument),
-        "calibration",
+        *(
+            "GET",
+            "/v1/calibrations",
+            "Every calibration that is kept, and how far each is from the one in use",
+            _history,
+        ),
+        *(CalibrationsDocument, _TAG),
+        problems=(404,),
+    ),
+    Endpoint(
+        *("POST", "/v1/calibrations", "Upload a calibration of this camera; it is not active yet", _upload),
+        *(UploadedDocument, _TAG),
+        raw="application/json",
+        body_bytes=MAX_BYTES,
+    ),
+    Endpoint(
+        *("POST", "/v1/calibrations/{name}/activate", "Work with another calibration; between jobs only", _activate),
+        *(Done, _TAG),
+        problems=(404,),
+    ),
+    Endpoint(
+        *("POST", "/v1/calibration/check", "Say whether the calibration still holds, by a board on the table", _check),
+        *(CheckDocument, _TAG),
+        body=CheckBody,
+        problems=(404, 503),
+        kept=False,
     ),
 )

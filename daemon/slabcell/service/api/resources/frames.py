@@ -10,7 +10,7 @@ from slabcell.service.api.endpoint import Call, Endpoint
 from slabcell.service.api.problems import ProblemError
 from slabcell.service.frames import PictureFormat, Shown, age_s, overlay_document
 
-__all__ = ["ENDPOINTS", "frame_view"]
+__all__ = ["ENDPOINTS", "frame_view", "latest_view"]
 
 
 def _last(context: ApiContext) -> Shown:
@@ -34,8 +34,13 @@ def frame_view(context: ApiContext, shown: Shown) -> FrameDocument:
     )
 
 
+def latest_view(context: ApiContext) -> FrameDocument:
+    """Return what is known of the newest picture.  Raises ProblemError 404."""
+    return frame_view(context, _last(context))
+
+
 async def _latest(call: Call[ApiContext]) -> FrameDocument:
-    return frame_view(call.context, _last(call.context))
+    return latest_view(call.context)
 
 
 async def _file(call: Call[ApiContext], kind: PictureFormat) -> Response:

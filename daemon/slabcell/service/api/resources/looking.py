@@ -12,9 +12,10 @@ from pydantic import Field
 from slabcell.catalogue import Fault
 from slabcell.cell.states import CellState
 from slabcell.service.api.context import ApiContext
-from slabcell.service.api.documents import CycleDocument, Document, PlacementDocument
+from slabcell.service.api.documents import CycleDocument, Document, FrameDocument, PlacementDocument
 from slabcell.service.api.endpoint import Call, Endpoint
 from slabcell.service.api.problems import ProblemError
+from slabcell.service.api.resources.frames import latest_view
 from slabcell.service.api.views import cycle_view, placement_view
 
 __all__ = ["ENDPOINTS", "VerificationDocument", "require_idle_robot"]
@@ -40,6 +41,12 @@ async def _trigger(call: Call[ApiContext]) -> CycleDocument:
     return cycle_view(await call.context.cell.look(), ended=True)
 
 
+async def _take(call: Call[ApiContext]) -> FrameDocument:
+    require_idle_robot(call.context)
+    await call.context.cell.snap()
+    return latest_view(call.context)
+
+
 async def _verify(call: Call[ApiContext]) -> VerificationDocument:
     context = call.context
     require_idle_robot(context)
@@ -54,6 +61,12 @@ ENDPOINTS = (
         *("POST", "/v1/trigger", "Take a picture and see what could be laid; nothing is offered or written", _trigger),
         *(CycleDocument, _TAG),
         problems=(503,),
+    ),
+    Endpoint(
+        *("POST", "/v1/frames/take", "Take a picture and only show it; nothing is looked for in it", _take),
+        *(FrameDocument, _TAG),
+        problems=(503,),
+        kept=False,
     ),
     Endpoint(
         *("POST", "/v1/verify", "Measure how the slabs of the present job lie; the arm must be out of view", _verify),
