@@ -1,6 +1,7 @@
 """The commands around KRL: `slabcell krl check` and `slabcell krc run`, as a shell sees them."""
 
 import json
+import signal
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -186,6 +187,25 @@ def test_dialogs_are_answered_from_the_command_line_by_text_or_number(slabcell, 
     done = slabcell("krc", "run", "ask", "--project", tmp_path, "--answer", "left", "--answer", "6")
     assert done.returncode == 0, done.stderr
     assert "left, but not sure" in done.stdout
+
+
+def test_ctrl_c_cancels_the_program_as_a_person_at_the_controller_would(tmp_path):
+    (tmp_path / "ever.src").write_text("DEF ever()\nLOOP\n$FLAG[1]=NOT $FLAG[1]\nWAIT SEC 1\nENDLOOP\nEND\n")
+    # what starts the tests may have it ignored, and children inherit that
+    start = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from slabcell.cli import main; main()"
+    )
+    command = [sys.executable, "-u", "-c", start, "krc", "run", "ever", "--project", str(tmp_path)]
+    with subprocess.Popen(
+        [*command, "--trace", "statements"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as running:
+        assert running.stdout is not None
+        for _ in range(200):
+            assert "ever.src" in running.stdout.readline()
+        running.send_signal(signal.SIGINT)
+        out, err = running.communicate(timeout=60)
+    assert running.returncode == 1, err
+    assert out.splitlines()[-1].startswith("cancelled: 91031 the program was cancelled in ever.src")
 
 
 def test_a_submit_program_runs_beside_the_program_if_it_is_named(slabcell, tmp_path):

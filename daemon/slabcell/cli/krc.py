@@ -1,8 +1,8 @@
 """`slabcell krc run`: what does a robot program do, in the software KRC?"""
 
 import json
-import threading
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -102,22 +102,14 @@ def run(
 
 def _run(krc: SoftwareKrc, program: str, timeout_s: float) -> RunResult:
     """Run in a thread, so that Ctrl-C cancels the program as a person at the controller would."""
-    results: list[RunResult] = []
-
-    def work() -> None:
-        results.append(krc.run(program, max_wall_s=timeout_s))
-
-    thread = threading.Thread(target=work, name="software KRC")
-    thread.start()
-    try:
-        thread.join()
-    except KeyboardInterrupt:
-        krc.cancel()
-        thread.join()
-    if not results:
-        msg = "the software KRC failed; this is a fault in slabcell"
-        raise SlabcellError(msg)
-    return results[0]
+    # not Thread.join: once a signal has interrupted it, Python takes the thread for ended
+    with ThreadPoolExecutor(1, thread_name_prefix="software KRC") as executor:
+        result = executor.submit(krc.run, program, max_wall_s=timeout_s)
+        try:
+            return result.result()
+        except KeyboardInterrupt:
+            krc.cancel()
+            return result.result()
 
 
 def _report(krc: SoftwareKrc, result: RunResult, recorder: "_Recorder", *, as_json: bool) -> None:

@@ -9,7 +9,20 @@ from slabcell_drivers.krc.values import Value
 __all__ = ["BUILTIN_FIRST", "Builtin"]
 
 BUILTIN_FIRST = frozenset(
-    {"BAS", "IR_STOPM", "SVEL_JOINT", "SVEL_CP", "STOOL2", "SBASE", "SIPO_MODE", "SLOAD", "SACC_JOINT", "SACC_CP"}
+    {
+        "BAS",
+        "IR_STOPM",
+        "SVEL_JOINT",
+        "SVEL_CP",
+        "STOOL2",
+        "SBASE",
+        "SIPO_MODE",
+        "SLOAD",
+        "SACC_JOINT",
+        "SACC_CP",
+        "SET_CD_PARAMS",
+        "USE_CM_PRO_VALUES",
+    }
 )
 """Ours even where a project brings its own: a controller's copies use data that backups lack."""
 

@@ -227,8 +227,19 @@ def _orientation_of_form(_: Host, data: Value = None, *__: Value) -> EnumConstan
     return found if isinstance(found, EnumConstant) else EnumConstant("VAR")
 
 
-def _circle_of_form(_: Host, *__: Value) -> EnumConstant:
-    return EnumConstant("BASE")
+def _circle_of_form(_: Host, data: Value = None, *__: Value) -> EnumConstant:
+    found = data.get("CIRC_TYP") if isinstance(data, StructValue) else None
+    return found if isinstance(found, EnumConstant) else EnumConstant("BASE")
+
+
+def _circle_mode_of_form(host: Host, data: Value = None, *__: Value) -> StructValue:
+    found = data.get("CB") if isinstance(data, StructValue) else None
+    return found if isinstance(found, StructValue) else StructValue(_struct(host, "CIRC_MODE"), {})
+
+
+def _collision_of_form(_: Host, *__: Value) -> int:
+    """Return the tolerance of the first axis: collisions are not monitored here."""
+    return 0
 
 
 def _nothing(_: Host, *__: Value) -> None:
@@ -298,6 +309,17 @@ def _inverse_position(host: Host, position: Value) -> Value:
     return set_frame(StructValue(type_, {}), frame)
 
 
+_WITHOUT_EFFECT = (
+    "SECURE_HOME",
+    "SPTP_CHECK",
+    "SET_CD_PARAMS",
+    "USE_CD_PARAMS",
+    "SET_TQ_VALUES",
+    "BASISTECH_PLC_INIT",
+    "BASISTECH_PLC_LOOP",
+)
+"""What inline forms and sps.sub call of the controller's own, and what has nothing to do here."""
+
 MOTION_BUILTINS: dict[str, Builtin] = {
     "BAS": Builtin(_bas, 1, 2),
     "INVERSE": Builtin(_inverse, 2, 3, frozenset({2}), result="E6AXIS"),
@@ -318,8 +340,8 @@ MOTION_BUILTINS: dict[str, Builtin] = {
     "SIPO_MODE": Builtin(_ipo_of_form, 0, 3),
     "SORI_TYP": Builtin(_orientation_of_form, 0, 3),
     "SCIRC_TYP": Builtin(_circle_of_form, 0, 3),
-    "SECURE_HOME": Builtin(_nothing, 0, 8),
-    "SET_CD_PARAMS": Builtin(_nothing, 0, 8),
-    "SPTP_CHECK": Builtin(_nothing, 0, 8),
+    "SCIRC_M": Builtin(_circle_mode_of_form, 0, 3),
+    "USE_CM_PRO_VALUES": Builtin(_collision_of_form, 0, 1, result="INT"),
+    **{name: Builtin(_nothing, 0, 8) for name in _WITHOUT_EFFECT},
     "IR_STOPM": Builtin(_nothing, 0, 0),
 }

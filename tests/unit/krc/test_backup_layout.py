@@ -128,3 +128,43 @@ def test_its_data_lists_are_kept_under_their_own_names(sources):
     assert set(kept) == {name for name in FILES if name.endswith(".dat")}
     assert b"parts=1\r\n" in kept["KRC/R1/System/$config.dat"]
     assert kept["KRC/R1/Mada/$machine.dat"] == sources["KRC/R1/Mada/$machine.dat"]
+
+
+CP_FORM = (
+    "$VEL=SVEL_CP(0.2, , LCPDAT1), $TOOL=STOOL2(FP1), $BASE=SBASE(FP1.BASE_NO), $IPO_MODE=SIPO_MODE(FP1.IPO_FRAME), "
+    "$LOAD=SLOAD(FP1.TOOL_NO), $ACC=SACC_CP(LCPDAT1), $ORI_TYPE=SORI_TYP(LCPDAT1), $APO=SAPO(LCPDAT1), "
+    "$JERK=SJERK(LCPDAT1), $COLLMON_TOL_PRO[1]=USE_CM_PRO_VALUES(0)"
+)
+FORMS = f"""DEF Forms ( )\r
+BAS(#INITMOV,0)\r
+SPTP XHOME WITH $VEL_AXIS[1]=SVEL_JOINT(50.0), $TOOL=STOOL2(FHOME), $BASE=SBASE(FHOME.BASE_NO), \
+$IPO_MODE=SIPO_MODE(FHOME.IPO_FRAME), $LOAD=SLOAD(FHOME.TOOL_NO), $ACC_AXIS[1]=SACC_JOINT(PDEFAULT), \
+$APO=SAPO_PTP(PDEFAULT), $GEAR_JERK[1]=SGEAR_JERK(PDEFAULT), $COLLMON_TOL_PRO[1]=USE_CM_PRO_VALUES(0)\r
+SET_CD_PARAMS (0)\r
+SPTP {{A5 30}}\r
+SLIN XP1 WITH {CP_FORM} C_SPL\r
+SCIRC XP2, XP3 WITH $CIRC_TYPE=SCIRC_TYP(LCPDAT1), $CIRC_MODE=SCIRC_M(LCPDAT1), {CP_FORM}\r
+END\r
+"""
+FORM_DATA = """DEFDAT Forms PUBLIC\r
+DECL E6POS XP1={X 350,Y 0,Z 400,A 0,B 0,C 180}\r
+DECL E6POS XP2={X 300,Y 50,Z 400,A 0,B 0,C 180}\r
+DECL E6POS XP3={X 250,Y 0,Z 400,A 0,B 0,C 180}\r
+DECL FDAT FP1={TOOL_NO 1,BASE_NO 0,IPO_FRAME #BASE,POINT2[] " "}\r
+DECL LDAT LCPDAT1={VEL 2.0,ACC 100.0,APO_DIST 10.0,APO_FAC 50.0,ORI_TYP #VAR,CIRC_TYP #BASE,JERK_FAC 50.0}\r
+ENDDAT\r
+"""
+
+
+def test_inline_forms_of_splines_run_without_the_files_of_the_controller():
+    sources = {"Forms.src": FORMS.encode(), "Forms.dat": FORM_DATA.encode()}
+    krc = SoftwareKrc(sources, robot=KR3_R540)
+    krc.assign("TOOL_DATA[1]={Z 50}")
+    assert krc.diagnostics == []
+    result = krc.run("Forms", max_wall_s=60)
+    assert (result.status, result.message) == ("done", "")
+    tcp = krc.tcp.as_tuple()
+    assert tcp[:3] == pytest.approx((250.0, 0.0, 400.0), abs=1e-3)
+    assert [
+        d for d in check({"Forms.src": FORMS.encode(), "Forms.dat": FORM_DATA.encode()}) if d.severity == "error"
+    ] == []
