@@ -156,6 +156,32 @@ def test_a_check_prints_what_compilers_print_and_json_on_request(slabcell, tmp_p
     assert {d["code"] for d in document["diagnostics"]} == {"syntax", "return"}
 
 
+CHANNEL = """<ETHERNETKRL>
+<CONFIGURATION>
+<EXTERNAL><TYPE>Client</TYPE></EXTERNAL>
+<INTERNAL><PORT>54601</PORT><PROTOCOL>TCP</PROTOCOL><BUFFERING Limit="16"/></INTERNAL>
+</CONFIGURATION>
+</ETHERNETKRL>
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "code", "text"),
+    [
+        ("", "", 0, "1 files, 0 errors, 0 warnings"),
+        ('Limit="16"', 'Limit="600"', 1, "4:1: error: Limit '600' is not a whole number from 1 to 512"),
+        ("TCP", "UDP", 0, "3:1: warning: PROTOCOL UDP is not emulated"),
+        ("54601", "7000", 0, "warning: port 7000: on the KLI a controller opens 54600 to 54615"),
+        ("</ETHERNETKRL>", "", 1, "not well-formed XML"),
+    ],
+)
+def test_a_check_says_what_eki_would_refuse_of_a_channel_file(slabcell, tmp_path, old, new, code, text):
+    (tmp_path / "Channel.xml").write_text(CHANNEL.replace(old, new) if old else CHANNEL)
+    done = slabcell("krl", "check", tmp_path)
+    assert done.returncode == code
+    assert text in done.stdout
+
+
 @pytest.mark.parametrize("name", ["nothing.src", "text.txt", ""])
 def test_a_check_of_nothing_is_wrong_usage(slabcell, tmp_path, name):
     (tmp_path / "text.txt").write_text("x")

@@ -9,6 +9,7 @@ import typer
 
 from slabcell.cli.krl_export import export_command
 from slabcell.errors import UsageError
+from slabcell_drivers.krc.eki_check import check_channels
 from slabcell_drivers.krc.loading import ENDINGS
 from slabcell_drivers.krc.static import check as check_sources
 from slabcell_drivers.krc.syntax import Diagnostic
@@ -33,7 +34,7 @@ def check(
     Exit code 1 if there is an error; warnings alone end with 0.
     """
     sources = _read(paths)
-    found = check_sources(sources)
+    found = check_sources(sources) + check_channels(sources)
     found += [
         Diagnostic(f.file, f.line, 1, f.severity, f.rule, f.message)
         for f in (consistency.check(sources) if any(n.lower().endswith(".xml") for n in sources) else ())

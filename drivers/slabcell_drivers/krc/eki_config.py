@@ -10,8 +10,10 @@ from enum import StrEnum
 from slabcell_drivers.krc.eki_xml import XmlElement, XmlError, parse_document
 
 __all__ = [
+    "SERVER_PORTS",
     "Buffering",
     "ChannelConfig",
+    "ConfigProblem",
     "EkiConfigError",
     "ElementType",
     "Environment",
@@ -25,14 +27,30 @@ SERVER_PORTS = range(54600, 54616)
 FRAME_KEYS = ("X", "Y", "Z", "A", "B", "C")
 
 
+@dataclass(frozen=True, slots=True)
+class ConfigProblem:
+    """One thing that is wrong with a configuration; ``line`` 0 is the whole file.
+
+    ``is_ours``: a controller would take it, this software does not.
+    """
+
+    line: int
+    text: str
+    is_ours: bool = False
+
+    def __str__(self) -> str:
+        """Return the problem with its place."""
+        return f"line {self.line}: {self.text}" if self.line else self.text
+
+
 class EkiConfigError(ValueError):
     """A configuration that EKI would not take; ``problems`` lists everything that is wrong with it.
 
     ``is_xml`` tells whether the file is XML at all.
     """
 
-    def __init__(self, problems: tuple[str, ...], *, is_xml: bool = True) -> None:
-        super().__init__("; ".join(problems))
+    def __init__(self, problems: tuple[ConfigProblem, ...], *, is_xml: bool = True) -> None:
+        super().__init__("; ".join(map(str, problems)))
         self.problems = problems
         self.is_xml = is_xml
 
@@ -113,11 +131,11 @@ class ChannelConfig:
 def parse_config(raw: bytes) -> ChannelConfig:
     """Return the channel that a configuration file describes.  Raises EkiConfigError."""
     if len(raw) > MAX_CONFIG_BYTES:
-        raise EkiConfigError((f"{len(raw)} bytes; at most {MAX_CONFIG_BYTES} are read",))
+        raise EkiConfigError((ConfigProblem(0, f"{len(raw)} bytes; at most {MAX_CONFIG_BYTES} are read"),))
     try:
         root = parse_document(raw)
     except XmlError as error:
-        raise EkiConfigError((str(error),), is_xml=False) from error
+        raise EkiConfigError((ConfigProblem(0, str(error)),), is_xml=False) from error
     reader = _Reader()
     config = reader.read(root)
     if reader.problems:
@@ -129,7 +147,7 @@ class _Reader:
     """Reads one file and collects what is wrong with it."""
 
     def __init__(self) -> None:
-        self.problems: list[str] = []
+        self.problems: list[ConfigProblem] = []
 
     def read(self, root: XmlElement) -> ChannelConfig:
         if root.name.upper() != "ETHERNETKRL":
@@ -174,7 +192,7 @@ class _Reader:
         if config.role is Role.CLIENT and not (config.external_ip and config.external_port):
             self._problem(external, "IP and PORT of the external system are needed, since it is the server")
         if not config.tcp:
-            self._problem(external, "PROTOCOL UDP is not emulated")
+            self._problem(external, "PROTOCOL UDP is not emulated", is_ours=True)
 
     def _receive(self, section: XmlElement | None, mode: Buffering) -> tuple[bool, tuple[ReceiveElement, ...]]:
         raw = _child(section, "RAW")
@@ -182,7 +200,7 @@ class _Reader:
         elements = tuple(self._receive_element(e, mode, raw=raw is not None) for e in self._elements(container))
         tags = [element.tag for element in elements]
         for tag in sorted({tag for tag in tags if tags.count(tag) > 1}):
-            self.problems.append(f"RECEIVE: tag {tag} is configured {tags.count(tag)} times")
+            self._problem(container, f"RECEIVE: tag {tag} is configured {tags.count(tag)} times")
         if raw is not None and len(elements) != 1:
             self._problem(raw, f"RAW has {len(elements)} elements; a channel has exactly one raw memory")
         return raw is not None, elements
@@ -233,7 +251,7 @@ class _Reader:
         container = raw or _child(section, "XML")
         tags = tuple(_attribute(element, "Tag") or "" for element in self._elements(container))
         for tag in sorted({tag for tag in tags if tags.count(tag) > 1}):
-            self.problems.append(f"SEND: tag {tag} is configured {tags.count(tag)} times")
+            self._problem(container, f"SEND: tag {tag} is configured {tags.count(tag)} times")
         return raw is not None, tags
 
     def _elements(self, container: XmlElement | None) -> list[XmlElement]:
@@ -292,8 +310,8 @@ class _Reader:
             return None
         return value
 
-    def _problem(self, element: XmlElement, text: str) -> None:
-        self.problems.append(f"line {element.line}: {text}")
+    def _problem(self, element: XmlElement | None, text: str, *, is_ours: bool = False) -> None:
+        self.problems.append(ConfigProblem(element.line if element is not None else 0, text, is_ours))
 
 
 def _child(parent: XmlElement | None, name: str) -> XmlElement | None:

@@ -119,4 +119,4 @@ def test_every_problem_of_a_file_is_reported() -> None:
     with pytest.raises(EkiConfigError) as caught:
         parse_config(raw)
     assert len(caught.value.problems) == 3
-    assert all(problem.startswith("line 1: ") for problem in caught.value.problems)
+    assert all(str(problem).startswith("line 1: ") for problem in caught.value.problems)
