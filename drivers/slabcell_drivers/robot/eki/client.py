@@ -6,14 +6,14 @@ listens only while its program has the channel open, so refusals are the normal 
 """
 
 import asyncio
-from collections.abc import Callable
 
 import structlog
 
 from slabcell_drivers.robot.answering import Answering, notice_dead_peer
 from slabcell_drivers.robot.eki.codec import encode_answer
 from slabcell_drivers.robot.eki.connection import Connection
-from slabcell_drivers.robot.link_events import EndReason, TelegramHook
+from slabcell_drivers.robot.link_events import EndReason, StateHook, TelegramHook
+from slabcell_drivers.robot.link_state import LinkStates, pause
 from slabcell_drivers.robot.protocol import Handler, LinkState
 
 __all__ = ["EkiClient"]
@@ -36,13 +36,13 @@ class EkiClient:
         connect_timeout_s: float = 2.0,
         heartbeat_timeout_s: float = 3.0,
         on_telegram: TelegramHook | None = None,
-        on_state: Callable[[LinkState], None] | None = None,
+        on_state: StateHook | None = None,
     ) -> None:
         self._host, self._port = host, port
         self._retry_s, self._connect_timeout_s = retry_s, connect_timeout_s
         self._heartbeat_timeout_s = heartbeat_timeout_s
-        self._on_telegram, self._on_state = on_telegram, on_state
-        self._state = LinkState.CLOSED
+        self._on_telegram = on_telegram
+        self._states = LinkStates("eki", on_state)
         self._stopping = asyncio.Event()
         self._current: Connection | None = None
         self._task: asyncio.Task[None] | None = None
@@ -52,14 +52,14 @@ class EkiClient:
     @property
     def state(self) -> LinkState:
         """Where the link stands now."""
-        return self._state
+        return self._states.now
 
     async def start(self, handler: Handler) -> None:
         """Begin to connect; returns at once.  Raises RuntimeError if already started."""
         if self._task is not None:
             raise RuntimeError("the EKI client is already started")
         self._stopping.clear()
-        self._set_state(LinkState.LISTENING)
+        self._states.become(LinkState.LISTENING)
         self._task = asyncio.get_running_loop().create_task(self._keep_connected(Answering(handler, encode_answer)))
 
     async def stop(self) -> None:
@@ -71,7 +71,7 @@ class EkiClient:
         if self._current is not None:
             self._current.end(EndReason.STOPPED)
         await task
-        self._set_state(LinkState.CLOSED)
+        self._states.become(LinkState.CLOSED)
 
     async def _keep_connected(self, answering: Answering) -> None:
         while not self._stopping.is_set():
@@ -81,7 +81,7 @@ class EkiClient:
                 _log.debug("eki.no_robot", host=self._host, port=self._port, error=repr(error))
             else:
                 await self._serve(reader, writer, answering)
-            await self._pause()
+            await pause(self._retry_s, unless=self._stopping)
         await answering.settle()
 
     async def _connect(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
@@ -111,23 +111,9 @@ class EkiClient:
         )
         if self._stopping.is_set():
             self._current.end(EndReason.STOPPED)
-        self._set_state(LinkState.CONNECTED)
+        self._states.become(LinkState.CONNECTED)
         self.last_end = await self._current.run()
         self._current = None
         _log.info("eki.disconnected", host=self._host, reason=self.last_end.value)
         if not self._stopping.is_set():
-            self._set_state(LinkState.LISTENING)
-
-    async def _pause(self) -> None:
-        try:
-            await asyncio.wait_for(self._stopping.wait(), self._retry_s)
-        except TimeoutError:
-            return
-
-    def _set_state(self, state: LinkState) -> None:
-        if state is self._state:
-            return
-        self._state = state
-        _log.info("eki.state", state=state.value)
-        if self._on_state is not None:
-            self._on_state(state)
+            self._states.become(LinkState.LISTENING)

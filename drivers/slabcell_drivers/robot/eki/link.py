@@ -11,14 +11,14 @@ a robot has sent a heartbeat on its connection, by the heartbeat's absence.
 
 import asyncio
 import time
-from collections.abc import Callable
 
 import structlog
 
 from slabcell_drivers.robot.answering import HANDLER_FAILED_CODE, Answering, notice_dead_peer
 from slabcell_drivers.robot.eki.codec import encode_answer
 from slabcell_drivers.robot.eki.connection import Connection
-from slabcell_drivers.robot.link_events import Direction, EndReason, TelegramHook
+from slabcell_drivers.robot.link_events import Direction, EndReason, StateHook, TelegramHook
+from slabcell_drivers.robot.link_state import LinkStates
 from slabcell_drivers.robot.protocol import Handler, LinkState
 
 __all__ = ["HANDLER_FAILED_CODE", "Direction", "EkiServer", "EndReason", "TelegramHook"]
@@ -42,15 +42,14 @@ class EkiServer:
         heartbeat_timeout_s: float = 3.0,
         dead_after_s: float = 3.0,
         on_telegram: TelegramHook | None = None,
-        on_state: Callable[[LinkState], None] | None = None,
+        on_state: StateHook | None = None,
     ) -> None:
         self._host, self._port = host, port
         self._allowed_hosts = allowed_hosts
         self._heartbeat_timeout_s = heartbeat_timeout_s
         self._dead_after_s = dead_after_s
         self._on_telegram = on_telegram
-        self._on_state = on_state
-        self._state = LinkState.CLOSED
+        self._states = LinkStates("eki", on_state)
         self._server: asyncio.Server | None = None
         self._answering: Answering | None = None
         self._current: Connection | None = None
@@ -62,7 +61,7 @@ class EkiServer:
     @property
     def state(self) -> LinkState:
         """Where the link stands now."""
-        return self._state
+        return self._states.now
 
     @property
     def address(self) -> tuple[str, int]:
@@ -78,7 +77,7 @@ class EkiServer:
             raise RuntimeError("the EKI server is already started")
         self._answering = Answering(handler, encode_answer)
         self._server = await asyncio.start_server(self._accept, self._host, self._port, backlog=4)
-        self._set_state(LinkState.LISTENING)
+        self._states.become(LinkState.LISTENING)
 
     async def stop(self) -> None:
         """Close the connection and the port.  A request under way is finished first.  May be called twice."""
@@ -92,15 +91,7 @@ class EkiServer:
         if self._answering is not None:
             await self._answering.settle()
         await server.wait_closed()
-        self._set_state(LinkState.CLOSED)
-
-    def _set_state(self, state: LinkState) -> None:
-        if state is self._state:
-            return
-        self._state = state
-        _log.info("eki.state", state=state.value)
-        if self._on_state is not None:
-            self._on_state(state)
+        self._states.become(LinkState.CLOSED)
 
     # ----------------------------------------------------------------------------------------------------- connections
 
@@ -122,7 +113,7 @@ class EkiServer:
         )
         notice_dead_peer(writer.get_extra_info("socket"))
         self._current, self._current_host = connection, host
-        self._set_state(LinkState.CONNECTED)
+        self._states.become(LinkState.CONNECTED)
         task = asyncio.get_running_loop().create_task(self._serve(connection, host))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
@@ -146,4 +137,4 @@ class EkiServer:
         if self._current is connection:
             self._current = None
             if self._server is not None:
-                self._set_state(LinkState.LISTENING)
+                self._states.become(LinkState.LISTENING)

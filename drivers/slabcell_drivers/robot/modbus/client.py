@@ -20,6 +20,7 @@ from pymodbus.pdu import ModbusPDU
 
 from slabcell_drivers.robot.answering import Answering, notice_dead_peer
 from slabcell_drivers.robot.link_events import Direction, EndReason, StateHook, TelegramHook
+from slabcell_drivers.robot.link_state import LinkStates, pause
 from slabcell_drivers.robot.modbus.codec import encode_answer
 from slabcell_drivers.robot.modbus.desk import Status, words_to_bytes
 from slabcell_drivers.robot.modbus.exchange import Exchange
@@ -172,8 +173,8 @@ class ModbusClient:
         self._client, self._map = client, register_map
         self._poll_s, self._retry_s, self._heartbeat_timeout_s = poll_s, retry_s, heartbeat_timeout_s
         self._gripper = gripper or NoGripper()
-        self._on_telegram, self._on_state = on_telegram, on_state
-        self._state = LinkState.CLOSED
+        self._on_telegram = on_telegram
+        self._states = LinkStates("modbus", on_state)
         self._stopping = asyncio.Event()
         self._task: asyncio.Task[None] | None = None
         self._exchange = Exchange(register_map)
@@ -192,7 +193,7 @@ class ModbusClient:
     @property
     def state(self) -> LinkState:
         """Where the link stands now."""
-        return self._state
+        return self._states.now
 
     async def start(self, handler: Handler) -> None:
         """Begin to poll; returns at once.  Raises RuntimeError if already started."""
@@ -200,7 +201,7 @@ class ModbusClient:
             raise RuntimeError("the Modbus client is already started")
         self._stopping.clear()
         self._answering = Answering(handler, lambda answer: encode_answer(self._map, answer, publication=0, toggle=0))
-        self._set_state(LinkState.LISTENING)
+        self._states.become(LinkState.LISTENING)
         self._task = asyncio.get_running_loop().create_task(self._keep_polling(), name="slabcell-modbus-client")
 
     async def stop(self) -> None:
@@ -212,15 +213,7 @@ class ModbusClient:
         await task
         if self._answering is not None:
             await self._answering.settle()
-        self._set_state(LinkState.CLOSED)
-
-    def _set_state(self, state: LinkState) -> None:
-        if state is self._state:
-            return
-        self._state = state
-        _log.info("modbus.state", state=state.value)
-        if self._on_state is not None:
-            self._on_state(state)
+        self._states.become(LinkState.CLOSED)
 
     # --------------------------------------------------------------------------------------------------------- polling
 
@@ -230,7 +223,7 @@ class ModbusClient:
                 await self._client.connect()
                 self._life, self._watchdog, self._watchdog_changed_s = [], None, None
                 await self._resume()
-                self._set_state(LinkState.CONNECTED)
+                self._states.become(LinkState.CONNECTED)
                 await self._poll_until_lost()
             except PollError as error:
                 _log.debug("modbus.poll_failed", error=str(error))
@@ -242,8 +235,8 @@ class ModbusClient:
             if self._stopping.is_set():
                 self.last_end = EndReason.STOPPED
                 break
-            self._set_state(LinkState.LISTENING)
-            await self._pause(self._retry_s)
+            self._states.become(LinkState.LISTENING)
+            await pause(self._retry_s, unless=self._stopping)
 
     async def _resume(self) -> None:
         """Take up the handshake where the PLC's memory has it."""
@@ -270,7 +263,7 @@ class ModbusClient:
             if changed_s is not None and time.monotonic() - changed_s > self._heartbeat_timeout_s:
                 self.last_end = EndReason.SILENT
                 return
-            await self._pause(max(0.0, self._poll_s - (time.monotonic() - began_s)))
+            await pause(max(0.0, self._poll_s - (time.monotonic() - began_s)), unless=self._stopping)
         if self._pending is not None:
             await asyncio.wait({self._pending})
 
@@ -362,9 +355,3 @@ class ModbusClient:
     def _record(self, direction: Direction, words: list[int]) -> None:
         if self._on_telegram is not None:
             self._on_telegram(direction, words_to_bytes(words), time.monotonic())
-
-    async def _pause(self, seconds: float) -> None:
-        try:
-            await asyncio.wait_for(self._stopping.wait(), seconds)
-        except TimeoutError:
-            return

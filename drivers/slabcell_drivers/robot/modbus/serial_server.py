@@ -10,6 +10,7 @@ import time
 import structlog
 
 from slabcell_drivers.robot.link_events import EndReason, StateHook, TelegramHook
+from slabcell_drivers.robot.link_state import LinkStates
 from slabcell_drivers.robot.modbus.access import Counters
 from slabcell_drivers.robot.modbus.desk import RequestDesk
 from slabcell_drivers.robot.modbus.gripper import PeerGripper
@@ -41,8 +42,8 @@ class ModbusRtuServer:
     ) -> None:
         self._line = settings.url
         self._heartbeat_timeout_s = heartbeat_timeout_s
-        self._gripper, self._on_telegram, self._on_state = gripper, on_telegram, on_state
-        self._state = LinkState.CLOSED
+        self._gripper, self._on_telegram = gripper, on_telegram
+        self._states = LinkStates("modbus", on_state)
         self._image = RegisterImage(register_map, peer_writes=PLC_AREAS)
         self._server = RtuRegisterServer(
             self._image,
@@ -61,7 +62,7 @@ class ModbusRtuServer:
     @property
     def state(self) -> LinkState:
         """Where the link stands: connected while a PLC speaks to our unit."""
-        return self._state
+        return self._states.now
 
     @property
     def counters(self) -> Counters:
@@ -89,7 +90,7 @@ class ModbusRtuServer:
             raise
         desk.start()
         self._watching = asyncio.get_running_loop().create_task(self._watch(desk), name="slabcell-modbus-line")
-        self._set_state(LinkState.LISTENING)
+        self._states.become(LinkState.LISTENING)
 
     async def stop(self) -> None:
         """Close the line.  A request under way is finished first.  May be called twice."""
@@ -101,29 +102,21 @@ class ModbusRtuServer:
             await asyncio.gather(self._watching, return_exceptions=True)
         await desk.stop()
         self._server.close()
-        self._set_state(LinkState.CLOSED)
-
-    def _set_state(self, state: LinkState) -> None:
-        if state is self._state:
-            return
-        self._state = state
-        _log.info("modbus.state", state=state.value)
-        if self._on_state is not None:
-            self._on_state(state)
+        self._states.become(LinkState.CLOSED)
 
     def _heard(self) -> None:
         self._heard_s = time.monotonic()
-        if self._state is LinkState.LISTENING and self._desk is not None:
+        if self._states.now is LinkState.LISTENING and self._desk is not None:
             self._desk.new_peer()
-            self._set_state(LinkState.CONNECTED)
+            self._states.become(LinkState.CONNECTED)
 
     def _lose(self, reason: EndReason) -> None:
-        if self._state is LinkState.CONNECTED:
+        if self._states.now is LinkState.CONNECTED:
             self.last_end = reason
             _log.info("modbus.plc_lost", line=self._line, reason=reason.value)
             if self._desk is not None:
                 self._desk.new_peer()
-            self._set_state(LinkState.LISTENING)
+            self._states.become(LinkState.LISTENING)
 
     async def _watch(self, desk: RequestDesk) -> None:
         """Notice a silent PLC, and have a lost line opened again."""

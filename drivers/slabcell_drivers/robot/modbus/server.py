@@ -14,6 +14,7 @@ import time
 import structlog
 
 from slabcell_drivers.robot.link_events import EndReason, StateHook, TelegramHook
+from slabcell_drivers.robot.link_state import LinkStates
 from slabcell_drivers.robot.modbus.access import Access, Counters
 from slabcell_drivers.robot.modbus.desk import RequestDesk
 from slabcell_drivers.robot.modbus.gripper import PeerGripper
@@ -47,8 +48,8 @@ class ModbusTcpServer:
     ) -> None:
         self._host, self._port = host, port
         self._heartbeat_timeout_s, self._dead_after_s = heartbeat_timeout_s, dead_after_s
-        self._gripper, self._on_telegram, self._on_state = gripper, on_telegram, on_state
-        self._state = LinkState.CLOSED
+        self._gripper, self._on_telegram = gripper, on_telegram
+        self._states = LinkStates("modbus", on_state)
         self._image = RegisterImage(register_map, peer_writes=PLC_AREAS)
         self._server = TcpRegisterServer(
             self._image,
@@ -66,7 +67,7 @@ class ModbusTcpServer:
     @property
     def state(self) -> LinkState:
         """Where the link stands: connected while a peer that writes is there."""
-        return self._state
+        return self._states.now
 
     @property
     def address(self) -> tuple[str, int]:
@@ -89,7 +90,7 @@ class ModbusTcpServer:
         self._desk = desk
         desk.start()
         self._watching = asyncio.get_running_loop().create_task(self._watch(desk), name="slabcell-modbus-silence")
-        self._set_state(LinkState.LISTENING)
+        self._states.become(LinkState.LISTENING)
 
     async def stop(self) -> None:
         """Close connections and port.  A request under way is finished first.  May be called twice."""
@@ -101,15 +102,7 @@ class ModbusTcpServer:
             await asyncio.gather(self._watching, return_exceptions=True)
         await desk.stop()
         await self._server.stop()
-        self._set_state(LinkState.CLOSED)
-
-    def _set_state(self, state: LinkState) -> None:
-        if state is self._state:
-            return
-        self._state = state
-        _log.info("modbus.state", state=state.value)
-        if self._on_state is not None:
-            self._on_state(state)
+        self._states.become(LinkState.CLOSED)
 
     # --------------------------------------------------------------------------------------------------- who may write
 
@@ -128,7 +121,7 @@ class ModbusTcpServer:
         self._writer = connection
         self._desk.new_peer()
         _log.info("modbus.writer", host=connection.host)
-        self._set_state(LinkState.CONNECTED)
+        self._states.become(LinkState.CONNECTED)
         return True
 
     def _left(self, connection: PeerConnection) -> None:
@@ -138,7 +131,7 @@ class ModbusTcpServer:
         self.last_end = connection.end_reason
         _log.info("modbus.writer_left", host=connection.host, reason=str(connection.end_reason))
         if self._desk is not None:
-            self._set_state(LinkState.LISTENING)
+            self._states.become(LinkState.LISTENING)
 
     def _hook_failed(self) -> None:
         if self._writer is not None:
