@@ -57,7 +57,11 @@ async def read_and_write_everything(link, mbpoll):
         start, count = MAP.span(area)
         image.set(area, [(7919 * at) & 0xFFFF for at in range(start, start + count)])
         for kind in ("4:hex", "3:hex"):  # holding registers, input registers
-            assert await mbpoll.read(start, count, kind) == image.get(area)
+            before, seen, after = image.get(area), await mbpoll.read(start, count, kind), image.get(area)
+            # the cell counts its watchdog on meanwhile: what changes while it is read proves nothing
+            still = [i for i in range(count) if before[i] == after[i]]
+            assert [seen[i] for i in still] == [after[i] for i in still]
+            assert len(still) >= count - 4
         image.set(area, [0] * count)
     for register in MAP.registers:
         if register.type is RegisterType.TEXT:
