@@ -147,18 +147,23 @@ def analyze() -> str:
     return tool
 
 
-def test_systemd_finds_nothing_wrong_with_the_unit(analyze: str, laid: Path, tmp_path: Path) -> None:
-    unit = tmp_path / "slabcell.service"
-    text = UNIT.read_text()
-    assert "ExecStart=/opt/slabcell/current/bin/slabcell run" in text
-    unit.write_text(text.replace("=/opt/", f"={laid}/opt/"))  # the command has to be there
+@pytest.mark.parametrize(("name", "verb"), [("slabcell", "run"), ("slabcell-hmi", "hmi")])
+def test_systemd_finds_nothing_wrong_with_the_unit(
+    analyze: str, laid: Path, tmp_path: Path, name: str, verb: str
+) -> None:
+    for source in UNIT.parent.glob("*.service"):
+        text = source.read_text()
+        (tmp_path / source.name).write_text(text.replace("=/opt/", f"={laid}/opt/"))  # the command has to be there
+    unit = tmp_path / f"{name}.service"
+    assert f"/opt/slabcell/current/bin/slabcell {verb} " in unit.read_text()
     done = subprocess.run([analyze, "verify", str(unit)], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
-def test_the_unit_is_hardly_exposed(analyze: str) -> None:
+@pytest.mark.parametrize("name", ["slabcell", "slabcell-hmi"])
+def test_the_unit_is_hardly_exposed(analyze: str, name: str) -> None:
     done = subprocess.run(
-        [analyze, "security", "--offline=true", "--threshold=15", str(UNIT)],
+        [analyze, "security", "--offline=true", "--threshold=15", str(UNIT.with_name(f"{name}.service"))],
         capture_output=True,
         text=True,
         check=False,

@@ -7,6 +7,7 @@
 ``recipe.json``           template and parameters as they were used
 ``calibration.json``      ``slabcell.calibration/1``
 ``result.json``           ``slabcell.locate/1``
+``overlay.json``          the same with the outlines, to draw over the picture
 ``ledger.json``           what the ledger holds of the job when the cycle ended
 ``telegrams.json``        what went over the wire for them, byte by byte, with the time of the monotonic clock
 ``transcript.json``       the requests of the robot and the answers to them
@@ -35,6 +36,7 @@ from slabcell.cell.asbuilt import AsBuilt
 from slabcell.cell.events import CycleRecord
 from slabcell.cell.settings import CellSettings
 from slabcell.recipe import Recipe
+from slabcell.vision.outlines import overlay_document
 from slabcell_drivers.robot.arm import ArmModel
 
 __all__ = ["SCHEMA", "BundleContext", "bundle_bytes", "cell_document", "recipe_document"]
@@ -105,6 +107,7 @@ def bundle_bytes(cycle: CycleRecord, pixels: Pixels | None, context: BundleConte
     }
     if cycle.result is not None:
         files["result.json"] = _json(cycle.result.to_document("frame.png"))
+        files["overlay.json"] = _json(overlay_document(cycle.result, "frame.png"))
     if cycle.verification and cycle.placements:
         report = AsBuilt.of(context.recipe.template.slots, cycle.placements, context.settings)
         files["as-built.json"] = _json(report.to_document(cycle.job_id, context.recipe.name))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import traceback
 from collections.abc import Awaitable, Callable
 from http import HTTPStatus
 from typing import Final
@@ -43,7 +44,7 @@ def make_app(hmi: Hmi) -> ASGIApp:
             Route("/static/{version}/{name:path}", _static, methods=["GET"]),
             WebSocketRoute("/live", live_endpoint(hmi)),
         ],
-        exception_handlers={HTTPException: _not_there(hmi), 500: _internal},
+        exception_handlers={HTTPException: _not_there(hmi)},
     )
     return _Shell(app, hmi)
 
@@ -88,6 +89,9 @@ def _route(hmi: Hmi, page: Page, route: HmiRoute) -> Route:
             response = await _answer(visit, route)
         except ClientDisconnect:
             return Response(status_code=HTTPStatus.BAD_REQUEST)  # nobody reads it
+        except Exception as error:  # noqa: BLE001 - the HMI goes on; a traceback without values holds no secrets
+            _log.error("page failed", path=request.url.path, traceback="".join(traceback.format_exception(error)))
+            response = visit.problem(HTTPStatus.INTERNAL_SERVER_ERROR, visit.words("refused.failed"))
         if route.method == "POST":
             user = visit.session.user if visit.session else None
             await hmi.audit.add(
@@ -211,8 +215,3 @@ def _not_there(hmi: Hmi) -> Callable[[Request, Exception], Awaitable[Response]]:
         return visit.problem(status, visit.words("refused.no_page" if status == HTTPStatus.NOT_FOUND else "refused.no"))
 
     return answer
-
-
-async def _internal(request: Request, error: Exception) -> Response:
-    _log.error("page failed", path=request.url.path, exc_info=error)
-    return PlainTextResponse("The HMI has failed; its log says how.\n", HTTPStatus.INTERNAL_SERVER_ERROR)

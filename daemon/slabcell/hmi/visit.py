@@ -42,8 +42,8 @@ class Visit:
     words: PageWords
     theme: str
     session: Session | None = None
-    form: dict[str, str] = field(default_factory=dict[str, str])
-    raw: bytes = b""
+    form: dict[str, str] = field(default_factory=dict[str, str], repr=False)
+    raw: bytes = field(default=b"", repr=False)
     outcome: str = ""
     """What came of a write, for the audit log."""
 
@@ -100,8 +100,12 @@ class Visit:
 
     async def post(self, path: str, body: Json | None = None) -> Response:
         """Have the daemon do something for who asks; say what came of it.  Raises SlabcellError."""
-        done = await self.hmi.api.post(path, body, user=self.user.name, key=self.text("key") or str(uuid.uuid4()))
+        done = await self.hmi.api.post(path, body, user=self.user.name, key=self.key())
         return self.done(str(done.get("detail", "")))
+
+    def key(self) -> str:
+        """Return the key under which a write is done once: the page's own, else a new one."""
+        return self.text("key", most=64) or str(uuid.uuid4())
 
     def done(self, text: str, *events: str) -> Response:
         """Say that something was done; pages hear ``events`` and refresh what shows it."""

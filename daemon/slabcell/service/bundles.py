@@ -17,6 +17,7 @@ _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{1,160}\.zip")
 MEMBERS: Final = {
     "frame.png": "image/png",
     "result.json": "application/json",
+    "overlay.json": "application/json",
     "transcript.json": "application/json",
     "telegrams.json": "application/json",
     "as-built.json": "application/json",

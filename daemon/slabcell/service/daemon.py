@@ -75,6 +75,7 @@ async def run_daemon(path: Path, *, ready: Callable[[tuple[str, int]], None] | N
     with _signals({signal.SIGTERM: stopping, signal.SIGINT: stopping, signal.SIGHUP: reload}), InstanceLock(folder):
         async with running_cell(config, parts, folder) as (context, address, ledger):
             context.recipes, context.calibrations = shelf, calibrations
+            context.config_path = path
             recipe = context.cell.recipe.name
             _log.info("ready", cell=config.name, recipe=recipe, robot=f"{address[0]}:{address[1]}")
             if ready is not None:

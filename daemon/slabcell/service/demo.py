@@ -194,10 +194,10 @@ def read_demo_parts(name: str) -> DemoParts:
         except SceneError as error:
             raise ConfigurationError(str(error)) from error
         recipe = load_recipe(recipe_file)
-    return DemoParts(_as_built(config, scene), scene, recipe, arm_by_name(config.robot.model))
+    return DemoParts(_as_built(config, scene, recipe_file), scene, recipe, arm_by_name(config.robot.model))
 
 
-def _as_built(config: CellConfig, scene: Scene) -> CellConfig:
+def _as_built(config: CellConfig, scene: Scene, recipe: Path) -> CellConfig:
     """Return the configuration with both bases where the scene has them: as an integrator teaches them."""
     bases = {
         "pick_base": FrameConfig.from_frame(scene.table.frame),
@@ -206,6 +206,7 @@ def _as_built(config: CellConfig, scene: Scene) -> CellConfig:
     limits = {"tolerance_mm": LIMIT_MM, "tolerance_deg": LIMIT_DEG}
     return config.model_copy(
         update={
+            "recipe": recipe,
             "robot": config.robot.model_copy(update=bases),
             "table": config.table.model_copy(update={"pick_area": list(scene.table.pick_area)}),
             "verification": config.verification.model_copy(update=limits),
@@ -217,7 +218,7 @@ def demo_folder(out: Path) -> Path:
     """Return the folder of a demo, made if need be, without the ledger of an earlier one.  Raises SlabcellError."""
     try:
         out.mkdir(parents=True, exist_ok=True)
-        for stale in [*out.glob("ledger.sqlite*"), *out.glob("history.sqlite*")]:
+        for stale in [*out.glob("ledger.sqlite*"), *out.glob("history.sqlite*"), *out.glob("active-*.json")]:
             stale.unlink()  # a demo is a new cell each time; an earlier one's ledger is not its history
     except OSError as error:
         msg = f"{out}: cannot be made a folder of the demo: {error.strerror}; choose another with --out"

@@ -7,15 +7,20 @@ world.  When a template is full, a person who is not there takes it away and str
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import structlog
 
 from slabcell.calibration import Calibration, save_calibration
+from slabcell.service.active_recipe import RecipeShelf
 from slabcell.service.builder import CellParts, cell_settings
+from slabcell.service.calibrations import CalibrationShelf
+from slabcell.service.config import CellConfig
 from slabcell.service.daemon import running_cell
 from slabcell.service.demo import Progress, demo_folder, read_demo_parts
 from slabcell.service.simulated import BoardPoses, SimulatedCell, calibrate_from_boards
@@ -93,11 +98,16 @@ async def open_demo_cell(options: DemoCellOptions, progress: Progress) -> AsyncG
         calibration, _, _ = await asyncio.to_thread(
             calibrate_from_boards, parts.scene, boards, options.seed, progress.advance
         )
-        save_calibration(out / "calibration.json", calibration)
+    save_calibration(out / "calibration.json", calibration)
     socket = out / "api.sock"
     config = parts.config.model_copy(update={"api": parts.config.api.model_copy(update={"socket": socket})})
     cell_parts = CellParts(calibration, parts.recipe, parts.arm, cell_settings(config))
-    async with running_cell(config, cell_parts, out, camera=simulated.camera) as (_, address, _):
+    config_file = out / "cell.toml"
+    config_file.write_text(config_text(config, out), encoding="utf-8")
+    async with running_cell(config, cell_parts, out, camera=simulated.camera) as (context, address, _):
+        context.config_path = config_file
+        context.recipes = RecipeShelf(config.recipe, out)
+        context.calibrations = CalibrationShelf(out / "calibration.json", out)
         yield DemoCell(simulated, socket, address, options)
 
 
@@ -125,3 +135,21 @@ async def _lay_on(cell: DemoCell, progress: Progress) -> None:
             cell.strew()
         else:
             await asyncio.sleep(AFTER_A_STOP_S)
+
+
+def config_text(config: CellConfig, out: Path) -> str:
+    """Return the configuration of a demo as a file beside its state, for `slabcell doctor` and the HMI."""
+    content = config.model_dump(mode="json", exclude_defaults=True)
+    content |= {"recipe": str(config.recipe.absolute()), "calibration": "calibration.json", "state_directory": str(out)}
+    return "\n".join(["# Written by slabcell demo.", *_table(content, "")]) + "\n"
+
+
+def _table(content: dict[str, Any], name: str) -> list[str]:
+    """Return a table as TOML, whose plain values are written as in JSON."""
+    plain = {key: value for key, value in content.items() if not isinstance(value, dict) and value is not None}
+    lines = [f"[{name}]"] if name and plain else []
+    lines += [f"{key} = {json.dumps(value)}" for key, value in plain.items()]
+    for key, value in content.items():
+        if isinstance(value, dict):
+            lines += _table(value, f"{name}.{key}" if name else key)  # pyright: ignore[reportUnknownArgumentType]  (JSON)
+    return lines

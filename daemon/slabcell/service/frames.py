@@ -20,7 +20,7 @@ from slabcell.errors import ImageError
 from slabcell.vision.result import LocateResult
 from slabcell_drivers.camera.protocol import ImageFrame, Pixels
 
-__all__ = ["FrameStore", "PictureFormat", "Shown", "age_s", "overlay_document"]
+__all__ = ["FrameStore", "PictureFormat", "Shown", "age_s"]
 
 PNG_LEVEL = 1
 JPEG_QUALITY = 85
@@ -110,16 +110,6 @@ def _encode(pixels: Pixels, kind: PictureFormat) -> bytes:
         msg = f"a picture of {pixels.shape[1]}x{pixels.shape[0]} pixels could not be encoded as {kind.value}"
         raise ImageError(msg)
     return encoded.tobytes()
-
-
-def overlay_document(result: LocateResult, image: str) -> dict[str, object]:
-    """Return the ``slabcell.locate/1`` object with the outlines, in pixels of the picture, to draw over it."""
-    document = result.to_document(image)
-    for name, items in (("parts", result.parts), ("rejected", result.rejected)):
-        entries: list[dict[str, object]] = document[name]  # pyright: ignore[reportAssignmentType]  (as to_document builds it)
-        for entry, item in zip(entries, items, strict=True):
-            entry["outline_px"] = [[round(float(u), 2), round(float(v), 2)] for u, v in item.outline_px]
-    return document
 
 
 def age_s(shown: Shown) -> float:

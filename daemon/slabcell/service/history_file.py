@@ -122,6 +122,8 @@ class HistoryFile:
             self._db.execute(f"PRAGMA application_id={APPLICATION_ID}")
             self._db.execute(f"PRAGMA user_version={VERSION}")
             self._db.execute("COMMIT")
+        # No part of the version: a file without it works, more slowly.
+        self._db.execute("CREATE INDEX IF NOT EXISTS cycles_failed ON cycles (number) WHERE code >= 1000")
 
     def close(self) -> None:
         """Close the file; may be called twice."""
@@ -158,10 +160,23 @@ class HistoryFile:
         self._write("UPDATE cycles SET bundle = ? WHERE number = ?", (bundle, number))
 
     def cycles(
-        self, *, before: int, limit: int, job: int | None = None, failed: bool = False, code: int | None = None
+        self,
+        *,
+        before: int,
+        limit: int,
+        job: int | None = None,
+        failed: bool = False,
+        code: int | None = None,
+        since_utc: str | None = None,
+        until_utc: str | None = None,
     ) -> list[CycleRow]:
-        """Return a page of cycles, the newest first, with numbers below ``before``."""
-        where, values = ["number < ?"], [before]
+        """Return a page of cycles, the newest first, with numbers below ``before``.
+
+        Moments are as `CycleRow` has them.  Numbers ascend with time, so that a moment is found by halving; where the
+        clock was set back in between, it is found somewhere there.
+        """
+        before = min(before, self._first_at(until_utc)) if until_utc else before
+        where, values = ["number < ?", "number >= ?"], [before, self._first_at(since_utc) if since_utc else 0]
         if job is not None:
             where.append("job_id = ?")
             values.append(job)
@@ -176,6 +191,22 @@ class HistoryFile:
             (*values, limit),
         ).fetchall()
         return [CycleRow(row[0], row[1], bool(row[2]), *row[3:]) for row in rows]
+
+    def _first_at(self, moment_utc: str) -> int:
+        """Return the number of the first cycle that began at a moment or later, or one after the last."""
+        low, high = self._db.execute(
+            "SELECT coalesce(min(number), 0), coalesce(max(number), 0) + 1 FROM cycles"
+        ).fetchone()
+        while low < high:
+            middle = (low + high) // 2
+            found = self._db.execute(
+                "SELECT number, began_utc FROM cycles WHERE number >= ? ORDER BY number LIMIT 1", (middle,)
+            ).fetchone()
+            if found is None or found[1] >= moment_utc:
+                high = middle
+            else:
+                low = found[0] + 1
+        return cast("int", low)
 
     def cycle(self, number: int) -> CycleRow | None:
         """Return one cycle."""

@@ -35,6 +35,7 @@ HIDDEN = ("/home", "/root", "/run/user")
 
 SYSTEM_FILES = {
     "slabcell.service": "etc/systemd/system/slabcell.service",
+    "slabcell-hmi.service": "etc/systemd/system/slabcell-hmi.service",
     "sysusers.d/slabcell.conf": "etc/sysusers.d/slabcell.conf",
     "tmpfiles.d/slabcell.conf": "etc/tmpfiles.d/slabcell.conf",
     "sysctl.d/60-slabcell.conf": "etc/sysctl.d/60-slabcell.conf",
@@ -123,7 +124,7 @@ def uninstall(root: Path = Path("/")) -> Report:
             _remove_if_empty(root / folder)
     except OSError as error:
         raise _named(error, root) from error
-    report.next_steps = ["systemctl disable --now slabcell.service", "systemctl daemon-reload"]
+    report.next_steps = ["systemctl disable --now slabcell-hmi.service slabcell.service", "systemctl daemon-reload"]
     return report
 
 
@@ -195,6 +196,7 @@ def _advise(root: Path, report: Report) -> None:
         "systemctl daemon-reload",
         "slabcell doctor --config /etc/slabcell/cell.toml",
         "systemctl enable --now slabcell.service",
+        "systemctl enable --now slabcell-hmi.service    # the web pages; its log names the token of the first start",
     ]
     if root.resolve() != Path("/"):
         report.warnings.append(f"laid below {root}: the commands are for the system that has it as its root")

@@ -18,7 +18,7 @@ from slabcell.cell.executor import end_executor
 from slabcell.cell.ledger_rows import SELECT_OFFERS, LedgerError, named, readable, to_offer
 from slabcell.cell.records import OfferRecord, OfferState, PlacementRecord
 
-__all__ = ["JobRow", "LedgerView", "SlotCounts", "count_slots"]
+__all__ = ["JobRow", "LedgerView", "MeasurementRow", "SlotCounts", "count_slots"]
 
 BUSY_TIMEOUT_S = 2.0
 
@@ -39,6 +39,21 @@ class JobRow:
     state: str
     began_utc: str
     ended_utc: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class MeasurementRow:
+    """One slab, measured once; lengths in mm, None where it was not found."""
+
+    id: int
+    job_id: int
+    slot: int
+    found: bool
+    dx_mm: float | None
+    dy_mm: float | None
+    da_deg: float | None
+    residual_mm: float | None
+    at_utc: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +145,26 @@ class LedgerView:
                 rows = db.execute(f"{SELECT_OFFERS} WHERE job_id = ? ORDER BY result_id", (job_id,)).fetchall()
                 found[job_id] = [to_offer(row) for row in rows]
             return found
+
+        return await self._read(read)
+
+    async def measurements(
+        self, *, before: int, limit: int, job: int | None = None, slot: int | None = None
+    ) -> list[MeasurementRow]:
+        """Return a page of measurements, the newest first, with ids below ``before``."""
+        where, values = ["placement_id < ?"], [before]
+        for column, wanted in (("job_id", job), ("slot", slot)):
+            if wanted is not None:
+                where.append(f"{column} = ?")
+                values.append(wanted)
+        query = (
+            "SELECT placement_id, job_id, slot, found, dx_mm, dy_mm, da_deg, residual_mm, at_utc FROM placements"  # noqa: S608 - fixed words
+            f" WHERE {' AND '.join(where)} ORDER BY placement_id DESC LIMIT ?"
+        )
+
+        def read(db: sqlite3.Connection) -> list[MeasurementRow]:
+            rows = db.execute(query, (*values, limit)).fetchall()
+            return [MeasurementRow(row[0], row[1], row[2], bool(row[3]), *row[4:]) for row in rows]
 
         return await self._read(read)
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from slabcell.cell.cell import Cell
@@ -45,4 +47,7 @@ class ApiContext:
     camera: Callable[[], CameraInfo | None] = lambda: None
     """Who the camera is, once it was open."""
     metrics: Callable[[], bytes] | None = None
+    config_path: Path | None = None
+    """The configuration file, for who looks at it; None in a cell that has none."""
+    doctor_turn: asyncio.Lock = field(default_factory=asyncio.Lock)
     pending_reload: list[str] = field(default_factory=list[str])

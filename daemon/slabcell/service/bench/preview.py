@@ -17,9 +17,9 @@ from slabcell.geometry import Points, Polygon
 from slabcell.images import Image
 from slabcell.service.bench.wire import Message
 from slabcell.service.bench.work import Work
-from slabcell.service.frames import overlay_document
 from slabcell.vision import Locator
 from slabcell.vision.blobs import RawBlob
+from slabcell.vision.outlines import overlay_document
 from slabcell.vision.pixels import as_8_bit
 from slabcell.vision.trace import Trace, trace
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from datetime import UTC, datetime
 from typing import Annotated, Final
 
 from pydantic import Field
@@ -29,11 +30,21 @@ class CyclesQuery(Query):
     before: Annotated[int, Field(ge=1)] = Field(default=FIRST, description="only cycles with a number below this")
     job: Annotated[int, Field(ge=0)] | None = Field(default=None, description="only cycles of this job")
     code: Annotated[int, Field(ge=0, le=99_999)] | None = Field(default=None, description="only with this code")
+    since: datetime | None = Field(default=None, description="only cycles that began then or later, ISO 8601")
+    until: datetime | None = Field(default=None, description="only cycles that began before, ISO 8601")
     failed: bool = Field(default=False, description="only cycles that ended with a number of the error catalogue")
 
 
 def _view(row: CycleRow) -> CycleDocument:
     return CycleDocument.model_validate_json(row.document).model_copy(update={"bundle": row.bundle})
+
+
+def _utc(moment: datetime | None) -> str | None:
+    """Return a moment as the history stamps it; one without a zone is UTC."""
+    if moment is None:
+        return None
+    zoned = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+    return zoned.astimezone(UTC).isoformat(timespec="milliseconds")
 
 
 async def cycle_row(context: ApiContext, number: int) -> CycleRow:
@@ -48,7 +59,13 @@ async def _list(call: Call[ApiContext]) -> CyclesDocument:
     query: CyclesQuery = call.query
     rows = await call.context.history.read(
         lambda file: file.cycles(
-            before=query.before, limit=query.limit + 1, job=query.job, code=query.code, failed=query.failed
+            before=query.before,
+            limit=query.limit + 1,
+            job=query.job,
+            code=query.code,
+            failed=query.failed,
+            since_utc=_utc(query.since),
+            until_utc=_utc(query.until),
         )
     )
     cycles = [_view(row) for row in rows[: query.limit]]

@@ -8,7 +8,8 @@ from slabcell.service.api.context import ApiContext
 from slabcell.service.api.documents import FrameDocument
 from slabcell.service.api.endpoint import Call, Endpoint
 from slabcell.service.api.problems import ProblemError
-from slabcell.service.frames import PictureFormat, Shown, age_s, overlay_document
+from slabcell.service.frames import PictureFormat, Shown, age_s
+from slabcell.vision.outlines import overlay_document
 
 __all__ = ["ENDPOINTS", "frame_view", "latest_view"]
 
