@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 from slabcell_drivers.krc.messages import KrlError, MotionMessage, RunMessage
 from slabcell_drivers.krc.motion import MotionError, Trajectory
@@ -47,7 +48,7 @@ def plan_block(
             trajectory = retimed(trajectory, timed)
     planner.needs_axis_motion = False
     remarks: list[tuple[int, str]] = []
-    for even in _even_speeds(planner, trajectory, path_orders):
+    for even in _even_speeds(planner, trajectory, segments, path_orders):
         remarks += speed_remarks(trajectory, even)
     return Planned(trajectory, tool, base, tuple(remarks))
 
@@ -116,12 +117,21 @@ def _time_block(path_orders: PathOrders) -> TimeBlock | None:
     return TimeBlock(first, tuple(parts), end.value)
 
 
-def _even_speeds(planner: MotionPlanner, trajectory: Trajectory, path_orders: PathOrders) -> list[EvenSpeed]:
-    """Return the ranges of CONST_VEL: from each START, or the start of the block, to the next END, or its end."""
+def _even_speeds(
+    planner: MotionPlanner, trajectory: Trajectory, segments: Sequence[MoveOrder], path_orders: PathOrders
+) -> list[EvenSpeed]:
+    """Return the ranges of CONST_VEL: from each START, or the start of the block, to the next END, or its end.
+
+    Where the segments of a range have speeds of their own, the lowest holds for the whole range.
+    """
     orders = [(index, order) for index, order in path_orders if order.kind == "CONST_VEL"]
     if not orders:
         return []
-    speed = planner.limits().speed_m_s
+    speeds: list[float] = []
+    for segment in segments:
+        with applied(segment.settings):
+            speeds.append(planner.limits().speed_m_s)
+    times_s = (0.0, *trajectory.marks_s, trajectory.duration_s)
     found: list[EvenSpeed] = []
     begins_s = 0.0
     for index, order in orders:
@@ -129,8 +139,13 @@ def _even_speeds(planner: MotionPlanner, trajectory: Trajectory, path_orders: Pa
         if order.verb == "START":
             begins_s = time_s
         if order.verb == "END" or order is orders[-1][1]:
-            ends_s = time_s if order.verb == "END" else trajectory.duration_s
-            found.append(EvenSpeed(begins_s, max(begins_s, ends_s), speed))
+            ends_s = max(begins_s, time_s if order.verb == "END" else trajectory.duration_s)
+            within = [
+                speed
+                for speed, (from_s, to_s) in zip(speeds, pairwise(times_s), strict=False)
+                if from_s < ends_s and to_s > begins_s
+            ]
+            found.append(EvenSpeed(begins_s, ends_s, min(within, default=min(speeds))))
     return found
 
 

@@ -110,6 +110,20 @@ def test_a_range_of_even_speed_that_can_be_kept_is_not_noted():
     assert Bench(body).done().notes == []
 
 
+def test_of_the_speeds_of_its_segments_the_lowest_holds_for_a_range_of_even_speed():
+    slow = f"SLIN {at(0)} WITH $VEL.CP=0.05"
+    body = f"SPLINE\nCONST_VEL START=20 ONSTART\n{slow}\nSLIN {at(80)}\nCONST_VEL END=-20\nSLIN {at(100)}\nENDSPLINE"
+    assert Bench(body).done().notes == []
+
+
+def test_a_speed_of_a_segment_alone_is_what_its_range_has_to_reach():
+    fast = f"SLIN {at(0)} WITH $VEL.CP=1.5"
+    body = f"SPLINE\nCONST_VEL START=40 ONSTART\n{fast}\nCONST_VEL END=-40 ONSTART\nSLIN {at(100)}\nENDSPLINE"
+    bench = Bench(body).done()
+    assert [number for number, _ in bench.notes] == [3214]
+    assert "$VEL.CP = 1.5 m/s" in bench.notes[0][1]
+
+
 def test_a_range_too_short_for_the_programmed_speed_is_noted_as_reduced():
     body = f"BAS(#VEL_CP,1.5)\nSPLINE\nCONST_VEL START=40 ONSTART\nSLIN {at(0)}\nCONST_VEL END=-40\nENDSPLINE"
     assert [number for number, _ in Bench(body).done().notes] == [3214]
