@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slabcell.recipe import BlobParameters
-from slabcell.vision.blobs import RawBlob
+from slabcell.vision.blobs import Blobs
 from slabcell.vision.features import BlobFeatures, fails, measure_blob, order_of
 from slabcell.vision.outline import Rings
 from slabcell.vision.pixels import Grey
@@ -66,7 +66,7 @@ class BlobReport:
 
 
 def report_blobs(
-    blobs: Sequence[RawBlob], grey: Grey, mask: npt.NDArray[np.uint8], plane: PlaneView, parameters: BlobParameters
+    blobs: Blobs, grey: Grey, mask: npt.NDArray[np.uint8], plane: PlaneView, parameters: BlobParameters
 ) -> BlobReport | None:
     """Return the features of the blobs and what the filters say, or None where the recipe asks for neither.
 

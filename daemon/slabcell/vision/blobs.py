@@ -1,8 +1,9 @@
 """Which regions of a picture may be slabs?  Their outlines in pixels, dust left out."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import cv2
 import numpy as np
@@ -12,14 +13,14 @@ from slabcell.geometry import Points
 from slabcell.vision.contours import Contours
 from slabcell.vision.kernel import engine
 
-__all__ = ["RawBlob", "blobs_of", "find_blobs", "rings_of"]
+__all__ = ["Blobs", "RawBlob", "find_blobs"]
+
+Index = npt.NDArray[np.int64]
 
 # More blobs than this are texture or noise: the largest are kept, and the description says so.
 MAX_BLOBS = 1000
 # Deviation in pixels that the polygon of an outline may have from the outline.
 SIMPLIFY_PX = 1.1
-# Points of an outline that are enough to describe it.
-ENOUGH = 400
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,27 +44,65 @@ class RawBlob:
         return corners.reshape(-1, 2).astype(np.float64)
 
 
-def find_blobs(mask: npt.NDArray[np.uint8], min_area_px: float) -> tuple[list[RawBlob], int]:
-    """Return the blobs of a mask of at least this area, largest first, and how many others were left out."""
-    blobs, left_out = blobs_of(engine().trace(mask, 127.0, dark=False, interpolate=False, min_area_px=min_area_px))
-    # A mask's outline is a staircase, which is longer where it runs aslant: its simplified polygon is not.
-    return [RawBlob(blob.polygon, blob.area_px, blob.touches_rim) for blob in blobs], left_out
+class Blobs:
+    """The regions of one picture, with their outlines in one array; a `RawBlob` is made of those that are asked for.
 
-
-def blobs_of(contours: Contours) -> tuple[list[RawBlob], int]:
-    """Return the blobs of these outlines, largest first, and how many were left out."""
-    order = np.argsort(-contours.area_px, kind="stable")[:MAX_BLOBS].tolist()
-    starts, areas, rims = contours.starts.tolist(), contours.area_px.tolist(), contours.touches_rim.tolist()
-    blobs = [RawBlob(contours.points[starts[at] : starts[at + 1]], areas[at], rims[at]) for at in order]
-    return blobs, contours.left_out + len(contours) - len(blobs)
-
-
-def rings_of(blobs: Sequence[RawBlob]) -> tuple[Points, npt.NDArray[np.int64]]:
-    """Return the outlines of all blobs one after the other, and where each begins, (blobs + 1,).
-
-    Of long outlines every second or third point, so that ENOUGH are left.
+    ``points`` (n, 2): u and v of all outlines; that of blob i is ``begins[i]`` to ``ends[i]``.  ``area_px`` and
+    ``touches_rim`` as in `RawBlob`.
     """
-    outlines = [blob.outline[:: max(1, len(blob.outline) // ENOUGH)] for blob in blobs]
-    starts = np.zeros(len(blobs) + 1, np.int64)
-    np.cumsum([len(outline) for outline in outlines], out=starts[1:])
-    return np.concatenate([*outlines, np.zeros((0, 2))]), starts
+
+    def __init__(
+        self, points: Points, begins: Index, ends: Index, area_px: Sequence[float], touches_rim: Sequence[bool]
+    ) -> None:
+        self.points, self.begins, self.ends = points, begins, ends
+        self.area_px, self.touches_rim = area_px, touches_rim
+        self._made: dict[int, RawBlob] = {}
+
+    @classmethod
+    def of(cls, blobs: Sequence[RawBlob]) -> Self:
+        """Return these blobs together."""
+        ends = np.cumsum([len(blob.outline) for blob in blobs], dtype=np.int64)
+        points = np.concatenate([*(blob.outline for blob in blobs), np.zeros((0, 2))])
+        made = cls(
+            points,
+            ends - np.array([len(blob.outline) for blob in blobs], np.int64),
+            ends,
+            [blob.area_px for blob in blobs],
+            [blob.touches_rim for blob in blobs],
+        )
+        made._made = dict(enumerate(blobs))
+        return made
+
+    @classmethod
+    def of_contours(cls, contours: Contours) -> tuple[Self, int]:
+        """Return the blobs of these outlines, largest first, and how many were left out."""
+        order = np.argsort(-contours.area_px, kind="stable")[:MAX_BLOBS]
+        blobs = cls(
+            contours.points,
+            contours.starts[order],
+            contours.starts[order + 1],
+            contours.area_px[order].tolist(),
+            contours.touches_rim[order].tolist(),
+        )
+        return blobs, contours.left_out + len(contours) - len(blobs)
+
+    def __len__(self) -> int:
+        return len(self.area_px)
+
+    def __getitem__(self, index: int) -> RawBlob:
+        made = self._made.get(index)
+        if made is None:
+            outline = self.points[self.begins[index] : self.ends[index]]
+            made = self._made[index] = RawBlob(outline, self.area_px[index], self.touches_rim[index])
+        return made
+
+    def __iter__(self) -> Iterator[RawBlob]:
+        return (self[index] for index in range(len(self)))
+
+
+def find_blobs(mask: npt.NDArray[np.uint8], min_area_px: float) -> tuple[Blobs, int]:
+    """Return the blobs of a mask of at least this area, largest first, and how many others were left out."""
+    contours = engine().trace(mask, 127.0, dark=False, interpolate=False, min_area_px=min_area_px)
+    blobs, left_out = Blobs.of_contours(contours)
+    # A mask's outline is a staircase, which is longer where it runs aslant: its simplified polygon is not.
+    return Blobs.of([RawBlob(blob.polygon, blob.area_px, blob.touches_rim) for blob in blobs]), left_out

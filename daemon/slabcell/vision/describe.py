@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from slabcell.geometry import Points, Polygon
-from slabcell.vision.blobs import RawBlob, rings_of
+from slabcell.vision.blobs import Blobs
 from slabcell.vision.kernel import engine
 from slabcell.vision.outline import Rings
 from slabcell.vision.plane import PlaneView
@@ -33,7 +33,7 @@ def describe_slots(slots: Sequence[Polygon]) -> Shapes:
     return describe_polygons([slot.vertices for slot in slots])
 
 
-def describe_blobs(blobs: Sequence[RawBlob], plane: PlaneView, *, without_walls: bool) -> Shapes:
+def describe_blobs(blobs: Blobs, plane: PlaneView, *, without_walls: bool) -> Shapes:
     """Return the features of blobs on the plane of the slabs' upper faces.
 
     ``without_walls``: take away from each outline the strip in which the wall of a slab of that height is seen.
@@ -43,7 +43,7 @@ def describe_blobs(blobs: Sequence[RawBlob], plane: PlaneView, *, without_walls:
         seen = Rings.of([blob.polygon for blob in blobs])
         rings = seen.moved(engine().to_plane(plane.grid, seen.points)).counter_clockwise()
         return engine().describe(_without_walls(rings, plane))
-    return engine().describe_pixels(plane.grid, *rings_of(blobs))
+    return engine().describe_pixels(plane.grid, blobs.points, blobs.begins, blobs.ends)
 
 
 def widest_wall_px(plane: PlaneView) -> float:

@@ -4,6 +4,7 @@ A picture that fails is not located in, because what would be found in it could 
 every gate that failed with what was measured and the limit.
 """
 
+import math
 from typing import Any, Final
 
 import numpy as np
@@ -20,14 +21,12 @@ from slabcell.vision.outline_set import OutlineSet
 from slabcell.vision.pixels import Grey
 from slabcell.vision.plane import PlaneView
 from slabcell.vision.result import GateReading
-from slabcell.vision.survey import Survey, step_of
+from slabcell.vision.survey import Survey, lightest_of, step_of
 
 __all__ = ["UnusableImageError", "blur_gate", "light_gates", "reference_gates", "require"]
 
 # IMAGE_UNUSABLE in the error catalogue.
 NUMBER: Final = 1501
-# The rows of the survey with the sharpest edges, which tell the blur.
-STEEPEST = 4
 # Corners of the polygon that stands for a round mark.
 CIRCLE_CORNERS = 48
 # How far from its place rim or mark is looked for.
@@ -52,17 +51,14 @@ def require(readings: tuple[GateReading, ...]) -> None:
 def light_gates(grey: Grey, surveyed: Survey, parameters: GateParameters) -> tuple[GateReading, ...]:
     """Return brightness and over-exposure of a picture; ``surveyed``: its survey with 8 bits."""
     if grey.dtype == np.uint8:
-        counts = surveyed.grey
-        whitest = int(counts[-1])
+        lightest = surveyed.lightest
+        saturated = 100.0 * int(surveyed.grey[-1]) / int(surveyed.grey.sum())
     else:
         sample = np.ascontiguousarray(grey[:: step_of(grey), :: step_of(grey)])
-        counts = np.bincount(sample.reshape(-1) >> 8, minlength=256)
-        whitest = int(np.count_nonzero(sample == np.iinfo(grey.dtype).max))
-    total = int(counts.sum())
-    # The lightest half percent.
-    rank = 255 - int(np.count_nonzero(np.cumsum(counts[::-1]) <= total // 200))
-    brightest = 100.0 * max(rank, 0) / 255.0
-    saturated = 100.0 * whitest / total
+        lightest = lightest_of(np.bincount(sample.reshape(-1) >> 8, minlength=256).astype(np.int64))
+        saturated = 100.0 * int(np.count_nonzero(sample == np.iinfo(grey.dtype).max)) / sample.size
+    # That of the lightest half percent.
+    brightest = 100.0 * lightest / 255.0
     return (
         GateReading(
             "brightness",
@@ -90,11 +86,10 @@ def blur_gate(surveyed: Survey, contrast: float, parameters: GateParameters) -> 
 
     A step of this contrast, blurred by a Gaussian of width s, is nowhere steeper than contrast/(s·√(2π)).
     """
-    if contrast <= 0.0 or len(surveyed.steepest) < STEEPEST:
+    if contrast <= 0.0 or surveyed.sharpest is None:
         return ()
-    # The median of the steepest rows; a step is taken over two pixels.
-    steepest = 0.5 * float(np.partition(surveyed.steepest, -STEEPEST // 2)[-STEEPEST // 2])
-    blur = contrast / (max(steepest, 1e-3) * float(np.sqrt(2.0 * np.pi)))
+    # A step is taken over two pixels.
+    blur = contrast / (max(0.5 * surveyed.sharpest, 1e-3) * math.sqrt(2.0 * math.pi))
     return (
         GateReading(
             "blur",

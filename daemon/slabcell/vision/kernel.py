@@ -18,11 +18,11 @@ from slabcell.vision import (
     edge_projection,
     local_map,
     matching,
+    part_poses,
     pose_solver,
     registration,
     shapes,
     survey,
-    thresholds,
 )
 from slabcell.vision.contours import Contours
 from slabcell.vision.edge_profile import EdgeLines, EdgeShifts, ProfileModel
@@ -31,18 +31,19 @@ from slabcell.vision.local_map import LocalMaps
 from slabcell.vision.matching import Candidate, MatchLimits
 from slabcell.vision.outline import Rings
 from slabcell.vision.outline_set import OutlineSet
+from slabcell.vision.part_poses import PartPoses, SlotTable
 from slabcell.vision.pixels import Grey
 from slabcell.vision.plane import PixelTable, PlaneView
 from slabcell.vision.pose_solver import Measured, Solution
 from slabcell.vision.registration import Registration
 from slabcell.vision.shapes import Shapes
 from slabcell.vision.survey import Survey
-from slabcell.vision.thresholds import Split
 
 __all__ = ["Engine", "NumpyEngine", "engine", "implementation", "maps_of"]
 
 Floats = npt.NDArray[np.float64]
 Picture = npt.NDArray[np.uint8]
+Index = npt.NDArray[np.int64]
 
 
 class Engine(Protocol):
@@ -61,10 +62,6 @@ class Engine(Protocol):
         """See `contours.trace`."""
         ...
 
-    def split(self, surveyed: Survey) -> Split | None:
-        """See `thresholds.split_in_two`."""
-        ...
-
     def to_plane(self, table: PixelTable, pixels: Points) -> Points:
         """See `plane.PixelTable.at`."""
         ...
@@ -73,8 +70,8 @@ class Engine(Protocol):
         """See `shapes.describe`."""
         ...
 
-    def describe_pixels(self, table: PixelTable, pixels: Points, starts: npt.NDArray[np.int64]) -> Shapes:
-        """Return what `describe` returns of rings in pixels, taken to the plane; ``starts``: where each begins."""
+    def describe_pixels(self, table: PixelTable, pixels: Points, begins: Index, ends: Index) -> Shapes:
+        """See `shapes.describe_pixels`."""
         ...
 
     def find_candidates(
@@ -109,6 +106,10 @@ class Engine(Protocol):
         """See `registration.register`."""
         ...
 
+    def part_poses(self, plane: PlaneView, slots: SlotTable, chosen: Sequence[Registration]) -> PartPoses:
+        """See `part_poses.part_poses`."""
+        ...
+
 
 class NumpyEngine:
     """The references."""
@@ -123,10 +124,6 @@ class NumpyEngine:
         """See `contours.trace`."""
         return contours.trace(picture, level, dark=dark, interpolate=interpolate, min_area_px=min_area_px)
 
-    def split(self, surveyed: Survey) -> Split | None:
-        """See `thresholds.split_in_two`."""
-        return thresholds.split_in_two(surveyed.grey)
-
     def to_plane(self, table: PixelTable, pixels: Points) -> Points:
         """See `plane.PixelTable.at`."""
         return table.at(pixels)
@@ -135,9 +132,9 @@ class NumpyEngine:
         """See `shapes.describe`."""
         return shapes.describe(rings)
 
-    def describe_pixels(self, table: PixelTable, pixels: Points, starts: npt.NDArray[np.int64]) -> Shapes:
-        """Return what `describe` returns of rings in pixels."""
-        return shapes.describe(Rings(table.at(pixels), starts))
+    def describe_pixels(self, table: PixelTable, pixels: Points, begins: Index, ends: Index) -> Shapes:
+        """See `shapes.describe_pixels`."""
+        return shapes.describe_pixels(table, pixels, begins, ends)
 
     def find_candidates(
         self, blobs: Shapes, slots: Shapes, limits: MatchLimits, allowed: npt.NDArray[np.bool_] | None = None
@@ -170,6 +167,10 @@ class NumpyEngine:
     ) -> list[Registration]:
         """See `registration.register`."""
         return registration.register(grey, plane, outlines, candidates, rough=rough)
+
+    def part_poses(self, plane: PlaneView, slots: SlotTable, chosen: Sequence[Registration]) -> PartPoses:
+        """See `part_poses.part_poses`."""
+        return part_poses.part_poses(plane, slots, chosen)
 
 
 def implementation() -> str:

@@ -1,8 +1,10 @@
 """Where do the slabs lie, and which slot is each for?  The stages in order: segment, blobs, match, register, grasp."""
 
+import bisect
 import itertools
+import math
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -15,7 +17,7 @@ from slabcell.calibration.model import Calibration
 from slabcell.geometry import Polygon
 from slabcell.recipe import Recipe
 from slabcell.vision.blob_report import report_blobs
-from slabcell.vision.blobs import RawBlob
+from slabcell.vision.blobs import Blobs, RawBlob
 from slabcell.vision.describe import describe_blobs
 from slabcell.vision.gates import blur_gate, light_gates, reference_gates, require
 from slabcell.vision.kernel import engine
@@ -127,7 +129,7 @@ class Locator(Prepared):
 
         return PromptableSegmenter(parameters.promptable)
 
-    def _blobs(self, grey: Grey, image: npt.NDArray[Any], surveyed: Survey) -> tuple[Segmentation, list[RawBlob], int]:
+    def _blobs(self, grey: Grey, image: npt.NDArray[Any], surveyed: Survey) -> tuple[Segmentation, Blobs, int]:
         """Return segmentation, blobs and how many were left out.
 
         What is automatic is tried in another way where no blob has the size of a slot: a light floor around a dark
@@ -139,7 +141,7 @@ class Locator(Prepared):
         min_area_px = parameters.min_area_mm2 / self.plane.mm_per_px**2
         first = self._seen(segment(grey, parameters, image, surveyed=surveyed))
         blobs, left_out = self._found(first, min_area_px)
-        if not blobs or self._plausible(blobs):
+        if not blobs or self._any_plausible(blobs):
             return first, blobs, left_out
         best, best_count = (first, blobs, left_out), 0
         for method, polarity in itertools.product(("auto", "local", "multi_otsu"), ("light", "dark")):
@@ -149,13 +151,13 @@ class Locator(Prepared):
             changed = parameters.model_copy(update={"method": kept, "polarity": polarity})
             other = self._seen(segment(grey, changed, image, surveyed=surveyed))
             found, dropped = self._found(other, min_area_px)
-            count = self._plausible(found)
+            count = sum(1 for _ in self._plausible(found))
             if count > best_count:
                 note = f"{other.description}, tried because no blob of '{first.description}' has the size of a slot"
                 best, best_count = (replace(other, description=note), found, dropped), count
         return best
 
-    def _found(self, segmentation: Segmentation, min_area_px: float) -> tuple[list[RawBlob], int]:
+    def _found(self, segmentation: Segmentation, min_area_px: float) -> tuple[Blobs, int]:
         """Return the blobs, and how many were left out.
 
         Outlines are put back by what the recipe's steps have eroded, so that blobs may be parted by eroding them.
@@ -167,10 +169,11 @@ class Locator(Prepared):
         rings = Rings.of([blob.polygon for blob in blobs]).counter_clockwise()
         grown = rings.offset_outward(eroded)
         ends = zip(rings.starts[:-1], rings.starts[1:], np.abs(grown.moments[0] - rings.moments[0]), strict=True)
-        return [
-            replace(blob, outline=grown.points[begin:end], area_px=blob.area_px + np.sign(eroded) * float(strip))
+        blobs = [
+            RawBlob(grown.points[begin:end], blob.area_px + math.copysign(float(strip), eroded), blob.touches_rim)
             for blob, (begin, end, strip) in zip(blobs, ends, strict=True)
-        ], left_out
+        ]
+        return Blobs.of(blobs), left_out
 
     def _seen(self, segmentation: Segmentation) -> Segmentation:
         """Return the segmentation without what lies where the picture sees no table."""
@@ -184,20 +187,26 @@ class Locator(Prepared):
         made = np.where(whole, segmentation.mask, np.uint8(0))
         return replace(segmentation, level=None, made=made, description=note)
 
-    def _plausible(self, blobs: list[RawBlob]) -> int:
-        """Return how many blobs have about the area of a slot and lie wholly in the picture."""
-        tolerance = 2.0 * self.recipe.matching.area_tolerance
-        areas = np.array([blob.area_px for blob in blobs if not blob.touches_rim]) * self.plane.mm_per_px**2
-        with np.errstate(divide="ignore"):
-            near = np.abs(np.log(areas[:, None] / self.shapes.area_mm2)) <= np.log1p(tolerance)
-        return int(np.count_nonzero(near.any(axis=1)))
+    def _any_plausible(self, blobs: Blobs) -> bool:
+        """Return whether some blob has about the area of a slot and lies wholly in the picture."""
+        return next(self._plausible(blobs), None) is not None
 
-    def _inside(self, blobs: list[RawBlob], area_mm: Polygon) -> list[RawBlob]:
+    def _plausible(self, blobs: Blobs) -> Iterator[int]:
+        """Yield the blobs that have about the area of a slot and lie wholly in the picture."""
+        factor = 1.0 + 2.0 * self.recipe.matching.area_tolerance
+        sizes, scale = self.sorted_areas_mm2, self.plane.mm_per_px**2
+        for index, (area, rim) in enumerate(zip(blobs.area_px, blobs.touches_rim, strict=True)):
+            # The smallest slot that is not smaller than this blob could be.
+            nearest = bisect.bisect_left(sizes, area * scale / factor)
+            if not rim and nearest < len(sizes) and sizes[nearest] <= area * scale * factor:
+                yield index
+
+    def _inside(self, blobs: Blobs, area_mm: Polygon) -> Blobs:
         if not blobs:
             return blobs
         middles = self.plane.from_pixels(np.array([blob.polygon.mean(axis=0) for blob in blobs]))
         inside = shapely.contains_xy(area_mm.shape, middles[:, 0], middles[:, 1])
-        return [blob for blob, keep in zip(blobs, inside, strict=True) if keep]
+        return Blobs.of([blob for blob, keep in zip(blobs, inside, strict=True) if keep])
 
 
 class _Clock:

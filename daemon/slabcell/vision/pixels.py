@@ -16,7 +16,7 @@ Grey = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 
 def as_grey(image: npt.NDArray[Any]) -> Grey:
     """Return the picture in grey, same depth.  Raises ImageError on a shape or type that no picture has."""
-    if image.dtype.name not in ("uint8", "uint16"):
+    if image.dtype not in (np.uint8, np.uint16):
         msg = f"a picture holds uint8 or uint16, not {image.dtype}"
         raise ImageError(msg)
     if image.size == 0 or image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] not in (1, 3)):

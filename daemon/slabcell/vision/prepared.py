@@ -14,7 +14,9 @@ from slabcell.vision.ambiguity import kinds_of
 from slabcell.vision.describe import MIN_WALL_PX, describe_slots, widest_wall_px
 from slabcell.vision.edges import EdgePieces, cut_edges
 from slabcell.vision.grasp import Grasp, choose_grasp
+from slabcell.vision.matching import MatchLimits
 from slabcell.vision.outline_set import OutlineSet
+from slabcell.vision.part_poses import SlotTable
 from slabcell.vision.plane import PlaneView
 from slabcell.vision.shapes import Shapes
 from slabcell.vision.symmetry import symmetry_order
@@ -26,6 +28,13 @@ Complex = npt.NDArray[np.complex128]
 # Outlines count as alike when no corner leaves the other by more than this in pixels, or by the recipe's alike_mm,
 # whichever is more.
 ALIKE_PX = 0.15
+# What the whole-outline registration may be off before the edges are measured: in pixels, and in parts of the size.
+COARSE_PX = 1.5
+COARSE_SHARE = 0.01
+# What the threshold's outline scatters at least.
+FLOOR_PX = 0.1
+# ... and of the width of the walls that are seen, which are taken off only roughly.
+WALL_SHARE = 0.35
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,30 +65,34 @@ class Prepared:
         return self.recipe.template.slots
 
     @cached_property
-    def corners(self) -> tuple[Complex, ...]:
-        """The slots' vertices as x + iy."""
-        return tuple(slot.vertices[:, 0] + 1j * slot.vertices[:, 1] for slot in self.slots)
-
-    @cached_property
     def middles(self) -> Complex:
         """The slots' centroids as x + iy, (slots,)."""
         return np.array([complex(*slot.centroid) for slot in self.slots])
 
     @cached_property
-    def grasp_points(self) -> Complex:
-        """Where each slot's slab is grasped, as x + iy; NaN where it cannot be, (slots,)."""
+    def slot_table(self) -> SlotTable:
+        """The slots, as parts' poses are worked out from them."""
         nowhere = complex(math.nan, math.nan)
-        return np.array([nowhere if grasp.point is None else complex(*grasp.point) for grasp in self.grasps])
-
-    @cached_property
-    def turns(self) -> npt.NDArray[np.float64]:
-        """The slots' `orders`, (slots,)."""
-        return np.array(self.orders, np.float64)
+        grasps = [nowhere if grasp.point is None else complex(*grasp.point) for grasp in self.grasps]
+        corners = np.concatenate([slot.vertices for slot in self.slots])
+        starts = np.concatenate([[0], np.cumsum([len(slot.vertices) for slot in self.slots])])
+        return SlotTable(
+            self.middles,
+            np.array(grasps, np.complex128),
+            np.array(self.orders, np.float64),
+            corners[:, 0] + 1j * corners[:, 1],
+            starts.astype(np.int64),
+        )
 
     @cached_property
     def shapes(self) -> Shapes:
         """Features of the slots."""
         return describe_slots(self.slots)
+
+    @cached_property
+    def sorted_areas_mm2(self) -> list[float]:
+        """The slots' areas, the smallest first."""
+        return sorted(self.shapes.area_mm2.tolist())
 
     @cached_property
     def pieces(self) -> tuple[EdgePieces, ...]:
@@ -99,6 +112,23 @@ class Prepared:
     def orders(self) -> tuple[int, ...]:
         """Rotational symmetry of each slot."""
         return tuple(symmetry_order(slot, self._alike_mm) for slot in self.slots)
+
+    @cached_property
+    def limits(self) -> MatchLimits:
+        """What blobs are compared with which slots, and how far off they may be."""
+        scale = self.plane.mm_per_px
+        distance = (
+            (COARSE_PX + WALL_SHARE * self.widest_wall_px) * scale
+            + COARSE_SHARE * np.sqrt(self.shapes.area_mm2)
+            + self.recipe.matching.max_residual_mm
+        )
+        return MatchLimits(
+            distance_mm=distance,
+            symmetry_order=self.orders,
+            margin_mm=0.5 * scale,
+            floor_mm=FLOOR_PX * scale,
+            area=self.recipe.matching.area_tolerance,
+        )
 
     @cached_property
     def kinds(self) -> tuple[int, ...]:

@@ -53,8 +53,8 @@ class Registration(NamedTuple):
     table = motion·assembly, turned by ``rotation`` (rad) and moved by ``x_mm``, ``y_mm``.  ``kerf_mm``: how far the
     slab's edge lies outside of the drawn one.  ``residual_mm``: RMS distance of the measured edges from the fitted
     outline.  ``coverage``: share of the outline that is where the fit says.  ``evidence_mm``: like the residual, with
-    missing pieces counted, for comparing slots.  ``covariance`` (3, 3) of x, y (mm) and rotation (rad) of the slot's
-    middle on the table.  A tuple, because many are made for each picture.
+    missing pieces counted, for comparing slots.  ``covariance``: of x, y (mm) and rotation (rad) of the slot's middle
+    on the table, 3·3 numbers row by row.  A tuple, because many are made for each picture.
     """
 
     candidate: Candidate
@@ -65,7 +65,7 @@ class Registration(NamedTuple):
     residual_mm: float
     coverage: float
     evidence_mm: float
-    covariance: Floats
+    covariance: Sequence[float]
 
     @property
     def motion(self) -> RigidTransform2D:
@@ -120,16 +120,13 @@ def register(
     x = poses.position[:, 0] - cos * poses.pivot[:, 0] + sin * poses.pivot[:, 1]
     y = poses.position[:, 1] - sin * poses.pivot[:, 0] - cos * poses.pivot[:, 1]
     rows = np.column_stack([poses.rotation, x, y, poses.kerf, residual, coverage, evidence])
-    return registrations_of(candidates, rows, covariance)
+    return registrations_of(candidates, np.column_stack([rows, covariance.reshape(-1, 9)]))
 
 
-def registrations_of(candidates: Sequence[Candidate], rows: Floats, covariance: Floats) -> list[Registration]:
-    """Return the candidates as they were found: ``rows`` (n, 7) hold rotation (rad), x, y, and what follows them."""
+def registrations_of(candidates: Sequence[Candidate], rows: Floats) -> list[Registration]:
+    """Return the candidates as they were found: ``rows`` (n, 16) hold rotation (rad), x, y, and what follows them."""
     return [
-        Registration(candidate, turn, x, y, kerf, residual, coverage, evidence, own)
-        for candidate, (turn, x, y, kerf, residual, coverage, evidence), own in zip(
-            candidates, rows.tolist(), covariance, strict=True
-        )
+        Registration(candidate, *row[:7], row[7:]) for candidate, row in zip(candidates, rows.tolist(), strict=True)
     ]
 
 

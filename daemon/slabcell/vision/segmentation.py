@@ -5,6 +5,7 @@ noise alone) gives an empty mask.  The edge itself is measured later on the raw 
 only to a pixel or two.
 """
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -14,12 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from slabcell.recipe import SegmentationParameters
-from slabcell.vision.blobs import RawBlob, blobs_of, find_blobs
+from slabcell.vision.blobs import Blobs, find_blobs
 from slabcell.vision.clustering import cluster
 from slabcell.vision.kernel import engine
 from slabcell.vision.morphology import apply_morphology
 from slabcell.vision.pixels import Grey, as_8_bit
-from slabcell.vision.survey import Survey
+from slabcell.vision.survey import Survey, rim_of
 from slabcell.vision.thresholds import DARK_OFFSET, Split, dynamic_range, several_levels
 
 __all__ = ["Segmentation", "segment"]
@@ -62,7 +63,7 @@ class Segmentation:
         kind = cv2.THRESH_BINARY if self.light else cv2.THRESH_BINARY_INV
         return _as_mask(cv2.threshold(self.picture, NOTHING if self.level is None else self.level, 255, kind)[1])
 
-    def blobs(self, min_area_px: float) -> tuple[list[RawBlob], int]:
+    def blobs(self, min_area_px: float) -> tuple[Blobs, int]:
         """Return the blobs of at least this area, largest first, and how many others were left out.
 
         Where one level parts slabs from table their outlines are known to a fraction of a pixel.
@@ -72,7 +73,7 @@ class Segmentation:
         contours = engine().trace(
             self.picture, self.level, dark=not self.light, interpolate=True, min_area_px=min_area_px
         )
-        return blobs_of(contours)
+        return Blobs.of_contours(contours)
 
 
 def segment(
@@ -93,7 +94,7 @@ def segment(
     if surveyed is None:
         surveyed = engine().survey(picture)
     histogram = surveyed.grey
-    split = engine().split(surveyed)
+    split = surveyed.split
     contrast = 0.0 if split is None else split.light - split.dark
     if parameters.method == "kmeans":
         colour = image is not None and image.ndim == 3 and image.dtype == np.uint8
@@ -102,16 +103,16 @@ def segment(
     if parameters.method == "fixed" and parameters.threshold is not None:
         text, threshold = f"fixed threshold {parameters.threshold}", parameters.threshold
         if grey.dtype == np.uint8:
-            light = _slabs_are_light(picture, threshold + 0.5, parameters.polarity)
+            light = _slabs_are_light(surveyed.rim, threshold + 0.5, parameters.polarity)
             return _finish(Segmentation(text, picture, contrast, min(threshold + 0.5, NOTHING), light), parameters)
         above = (grey > threshold).astype(np.uint8) * np.uint8(255)
-        light = _slabs_are_light(above, 127.0, parameters.polarity)
+        light = _slabs_are_light(rim_of(above), 127.0, parameters.polarity)
         return _finish(Segmentation(text, picture, contrast, light=light, made=_side(above, light=light)), parameters)
     needed = max(MIN_CONTRAST, MIN_CONTRAST_SIGMA * surveyed.noise)
     if split is None or contrast < needed:
         text = f"no slabs: light and dark differ by {contrast:.1f} of 255 grey levels, {needed:.1f} are needed"
         return Segmentation(f"{text} (noise {surveyed.noise:.1f})", picture, 0.0, NOTHING)
-    light = _slabs_are_light(picture, split.level, parameters.polarity)
+    light = _slabs_are_light(surveyed.rim, split.level, parameters.polarity)
     found, text = _threshold(picture, histogram, split, parameters, light=light)
     text = f"{text}; slabs are {'light' if light else 'dark'}"
     if isinstance(found, np.ndarray):
@@ -166,12 +167,14 @@ def _soft(picture: Mask, low: float, high: float) -> Mask:
     return _lighter(_as_mask(cv2.GaussianBlur(lifted, (3, 3), 0)), 127.5)
 
 
-def _slabs_are_light(picture: Mask, level: float, polarity: str) -> bool:
-    """Return whether the slabs are what is lighter: the rim of a picture mostly shows the table."""
+def _slabs_are_light(rim: npt.NDArray[np.int64], level: float, polarity: str) -> bool:
+    """Return whether the slabs are what is lighter: the rim of a picture mostly shows the table.
+
+    ``rim`` (256,): how many of its pixels have each level.
+    """
     if polarity != "auto":
         return polarity == "light"
-    rim = np.concatenate([picture[0, ::4], picture[-1, ::4], picture[::4, 0], picture[::4, -1]])
-    return int(np.count_nonzero(rim > level)) <= 0.5 * rim.size
+    return 2 * int(rim[math.floor(level) + 1 :].sum()) <= int(rim.sum())
 
 
 def _side(above: Mask, *, light: bool) -> Mask:

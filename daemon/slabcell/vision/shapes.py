@@ -11,15 +11,19 @@ import numpy.typing as npt
 
 from slabcell.geometry import Points
 from slabcell.vision.outline import Rings
+from slabcell.vision.plane import PixelTable
 
-__all__ = ["HARMONICS", "SAMPLES", "Shapes", "Spectra", "describe", "spectra_of"]
+__all__ = ["ENOUGH", "HARMONICS", "SAMPLES", "Shapes", "Spectra", "describe", "describe_pixels", "spectra_of"]
 
 Floats = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
+Index = npt.NDArray[np.int64]
 
 SAMPLES = 128
 # Harmonics whose magnitudes are compared first: half of them on either side.
 HARMONICS = 24
+# Points of an outline in pixels that are enough to describe it: of a longer one every second or third is taken.
+ENOUGH = 400
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,6 +73,16 @@ def describe(rings: Rings) -> Shapes:
     middle = samples.mean(axis=1)
     samples = samples - middle[:, None]
     return Shapes(samples, middle, np.abs(area), inertia, centroid, spectra_of(samples))
+
+
+def describe_pixels(table: PixelTable, pixels: Points, begins: Index, ends: Index) -> Shapes:
+    """Return what `describe` returns of outlines in pixels, taken to the plane.
+
+    ``pixels`` (n, 2) hold all; outline i is ``begins[i]`` to ``ends[i]``.
+    """
+    outlines = [pixels[begin:end] for begin, end in zip(begins, ends, strict=True)]
+    rings = Rings.of([outline[:: max(1, len(outline) // ENOUGH)] for outline in outlines])
+    return describe(rings.moved(table.at(rings.points)))
 
 
 def spectra_of(samples: Complex) -> Spectra:

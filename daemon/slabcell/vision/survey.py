@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Survey", "step_of", "survey"]
+from slabcell.vision.thresholds import Split, split_in_two
+
+__all__ = ["Survey", "lightest_of", "rim_of", "step_of", "survey"]
 
 Picture = npt.NDArray[np.uint8]
 Counts = npt.NDArray[np.int64]
@@ -16,33 +18,26 @@ Counts = npt.NDArray[np.int64]
 # Every fourth pixel of every fourth row is looked at, or every eighth of a large picture.
 STEPS = (4, 8)
 LARGE = 1 << 20
+# Of the rows that were searched, those with the sharpest edges.
+STEEPEST = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Survey:
-    """Counts over the 256 grey levels of a picture of 8 bits.
+    """What a picture of 8 bits is like.
 
-    ``grey``: how many of the pixels looked at have each level.  ``difference``: how many neighbours among them differ
-    by each number of levels.  ``steepest``: the greatest difference over two pixels within each row that was searched,
-    along it and across it.
+    ``grey`` (256,): how many of the pixels looked at have each level; ``rim`` (256,): the same of the outermost pixels.
+    ``noise``: standard deviation of the pixel noise.  ``sharpest``: the greatest difference of levels over two pixels,
+    or None for a picture too small to say.  ``lightest``: the level that half a percent of the pixels exceed.
+    ``split``: the best split of the levels in two populations, or None where there are none.
     """
 
     grey: Counts
-    difference: Counts
-    steepest: Picture
-
-    @property
-    def noise(self) -> float:
-        """Standard deviation of the pixel noise, from differences of neighbours, which edges barely touch."""
-        total = int(self.difference.sum())
-        if total == 0:
-            return 0.0
-        # The median of |N(0, s√2)| is 0.954 s; interpolated within its grey level.
-        cumulative = np.cumsum(self.difference)
-        middle = int(np.searchsorted(cumulative, 0.5 * total))
-        before = float(cumulative[middle - 1]) if middle else 0.0
-        share = (0.5 * total - before) / max(float(self.difference[middle]), 1.0)
-        return max(0.0, middle - 0.5 + share) / 0.954
+    rim: Counts
+    noise: float
+    sharpest: float | None
+    lightest: int
+    split: Split | None
 
 
 def step_of(picture: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> int:
@@ -55,14 +50,41 @@ def survey(picture: Picture) -> Survey:
     height, width = picture.shape
     step = step_of(picture)
     sample = picture[::step, ::step]
-    grey = np.bincount(sample.reshape(-1), minlength=256)
+    grey = np.bincount(sample.reshape(-1), minlength=256).astype(np.int64)
     rows = sample[::step].astype(np.int16)
-    difference = np.bincount(np.abs(rows[:, 1:] - rows[:, :-1]).reshape(-1), minlength=256)
-    steepest = np.zeros((-(-height // (2 * step)), 2), np.uint8)
-    for index, v in enumerate(range(0, height, 2 * step)):
+    difference = np.bincount(np.abs(rows[:, 1:] - rows[:, :-1]).reshape(-1), minlength=256).astype(np.int64)
+    steepest: list[int] = []
+    for v in range(0, height, 2 * step):
         row = picture[v].astype(np.int16)
-        if width > 2:
-            steepest[index, 0] = np.abs(row[2:] - row[:-2]).max()
-        if 0 < v < height - 1:
-            steepest[index, 1] = np.abs(picture[v + 1].astype(np.int16) - picture[v - 1]).max()
-    return Survey(grey.astype(np.int64), difference.astype(np.int64), steepest.reshape(-1))
+        steepest.append(int(np.abs(row[2:] - row[:-2]).max()) if width > 2 else 0)
+        across = 0 < v < height - 1
+        steepest.append(int(np.abs(picture[v + 1].astype(np.int16) - picture[v - 1]).max()) if across else 0)
+    # The median of the steepest rows, or the one below the middle of them.
+    sharpest = float(sorted(steepest)[-STEEPEST // 2]) if len(steepest) >= STEEPEST else None
+    split = split_in_two(grey)
+    return Survey(grey, rim_of(picture), _noise_of(difference), sharpest, lightest_of(grey), split)
+
+
+def rim_of(picture: Picture) -> Counts:
+    """Return how many of the outermost pixels have each level, from every fourth of them."""
+    sides = (picture[0, ::4], picture[-1, ::4], picture[::4, 0], picture[::4, -1])
+    return np.bincount(np.concatenate(sides), minlength=256).astype(np.int64)
+
+
+def lightest_of(grey: Counts) -> int:
+    """Return the level that half a percent of the pixels exceed, from how many have each level."""
+    total = int(grey.sum())
+    return max(255 - int(np.count_nonzero(np.cumsum(grey[::-1]) <= total // 200)), 0)
+
+
+def _noise_of(difference: Counts) -> float:
+    """Return the pixel noise, from how many neighbours differ by each number of levels, which edges barely touch."""
+    total = int(difference.sum())
+    if total == 0:
+        return 0.0
+    # The median of |N(0, s√2)| is 0.954 s; interpolated within its grey level.
+    cumulative = np.cumsum(difference)
+    middle = int(np.searchsorted(cumulative, 0.5 * total))
+    before = float(cumulative[middle - 1]) if middle else 0.0
+    share = (0.5 * total - before) / max(float(difference[middle]), 1.0)
+    return max(0.0, middle - 0.5 + share) / 0.954

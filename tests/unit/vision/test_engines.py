@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from slabcell.geometry import RigidTransform2D
-from slabcell.vision import contours, kernel, matching, native, registration, shapes, survey, thresholds
+from slabcell.vision import contours, kernel, matching, native, part_poses, registration, shapes, survey
 from slabcell.vision.describe import describe_polygons
 from slabcell.vision.kernel import NumpyEngine
 from slabcell.vision.matching import MatchLimits
@@ -41,15 +41,14 @@ def test_the_surveys_agree(engine: NativeEngine, shape: tuple[int, int]):
     picture = noise(1, shape)
     found, expected = engine.survey(picture), survey.survey(picture)
     assert np.array_equal(found.grey, expected.grey)
-    assert np.array_equal(found.difference, expected.difference)
-    assert np.array_equal(found.steepest, expected.steepest)
-    assert found.noise == expected.noise
+    assert np.array_equal(found.rim, expected.rim)
+    assert (found.noise, found.sharpest, found.lightest) == (expected.noise, expected.sharpest, expected.lightest)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_the_splits_agree(engine: NativeEngine, seed: int):
-    surveyed = survey.survey(noise(seed, smooth=seed))
-    found, expected = engine.split(surveyed), thresholds.split_in_two(surveyed.grey)
+    picture = noise(seed, smooth=seed)
+    found, expected = engine.survey(picture).split, survey.survey(picture).split
     assert found is not None
     assert expected is not None
     assert (found.level, found.valley_share) == (expected.level, pytest.approx(expected.valley_share))
@@ -57,7 +56,7 @@ def test_the_splits_agree(engine: NativeEngine, seed: int):
 
 
 def test_a_picture_of_one_grey_has_no_split(engine: NativeEngine):
-    assert engine.split(survey.survey(np.full((50, 50), 7, np.uint8))) is None
+    assert engine.survey(np.full((50, 50), 7, np.uint8)).split is None
 
 
 @pytest.mark.parametrize("smooth", [0.0, 1.0, 4.0])
@@ -116,6 +115,20 @@ def test_the_descriptions_agree(engine: NativeEngine):
         assert np.allclose(getattr(found, name), getattr(expected, name), atol=1e-7), name
     for name in ("values", "energy", "magnitudes"):
         assert np.allclose(getattr(found.spectra, name), getattr(expected.spectra, name), atol=1e-6), name
+
+
+def test_the_descriptions_of_outlines_in_pixels_agree(engine: NativeEngine):
+    plane = PlaneView(calibration(), 0.0)
+    angle = np.arange(1700) * (2 * np.pi / 1700)
+    circle = np.column_stack([200 + 90 * np.cos(angle), 150 + 40 * np.sin(angle)])
+    pixels = np.concatenate([circle, circle[::9], circle[::-2]])
+    # Not in the order in which they lie, as blobs are sorted by their size.
+    begins, ends = np.array([1889, 0, 1700]), np.array([2739, 1700, 1889])
+    found = engine.describe_pixels(plane.grid, pixels, begins, ends)
+    expected = shapes.describe_pixels(plane.grid, pixels, begins, ends)
+    for name in ("samples", "middle", "area_mm2", "inertia", "centroid"):
+        assert np.allclose(getattr(found, name), getattr(expected, name), atol=1e-7), name
+    assert np.allclose(found.spectra.values, expected.spectra.values, atol=1e-6)
 
 
 @pytest.mark.parametrize("height_mm", [0.0, 10.0])
@@ -183,6 +196,30 @@ def test_the_registrations_agree(engine: NativeEngine, height_mm: float, bits: i
         assert ours[5:8] == pytest.approx(theirs[5:8], rel=0.15, abs=1e-3)
         # A bin at the limit of an edge's side counts here and not there: the picture's grain differs by some percent.
         assert np.allclose(ours.covariance, theirs.covariance, rtol=0.2, atol=1e-9)
+
+
+@pytest.mark.parametrize("height_mm", [0.0, 12.0])
+def test_the_poses_of_parts_agree(engine: NativeEngine, height_mm: float):
+    prepared = Prepared(calibration(), recipe(thickness_mm=height_mm))
+    random = np.random.default_rng(4)
+    chosen: list[registration.Registration] = []
+    for index, pose in enumerate(scatter(prepared.recipe)):
+        half = random.normal(0, 0.01, (3, 3))
+        rotation = np.deg2rad(pose.rotation_deg) + 4 * np.pi * index
+        candidate = matching.Candidate(index, index, rotation, 0.0, 0.0, 0.0)
+        numbers = (0.0, 0.01, 1.0, 0.01)
+        covariance = (half @ half.T).reshape(-1).tolist()
+        chosen.append(
+            registration.Registration(candidate, rotation, pose.x_mm, pose.y_mm, *numbers, covariance=covariance)
+        )
+    chosen.append(chosen[0]._replace(x_mm=1e5))  # far out of the table that the kernel has
+    for some in (chosen[:-1], chosen, []):
+        found = engine.part_poses(prepared.plane, prepared.slot_table, some)
+        expected = part_poses.part_poses(prepared.plane, prepared.slot_table, some)
+        assert np.allclose(np.array(found.numbers)[..., :7], np.array(expected.numbers)[..., :7])
+        assert np.allclose(np.array(found.numbers)[..., 7:], np.array(expected.numbers)[..., 7:], atol=2e-2)
+        for ours, theirs in zip(found.outlines, expected.outlines, strict=True):
+            assert np.allclose(ours, theirs, atol=2e-3)
 
 
 def test_no_candidates_give_no_registrations(engine: NativeEngine):

@@ -4,13 +4,12 @@ The C sources lie beside this file.  They are compiled twice where the compiler 
 and for x86-64-v3 (AVX2 and FMA), which is taken where the processor has that.
 """
 
-import ctypes
-import math
 import threading
 from collections.abc import Sequence
 from functools import lru_cache
+from itertools import accumulate
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -21,18 +20,25 @@ from slabcell.vision.contours import Contours
 from slabcell.vision.edge_profile import EdgeLines, EdgeShifts, ProfileModel
 from slabcell.vision.edge_projection import Outlines, Poses, ProjectedEdges
 from slabcell.vision.local_map import MARGIN_PX, LocalMaps, map_locally, nodes_of_maps
-from slabcell.vision.matching import CLOSE, FINE, MAX_ROTATIONS, Candidate, MatchLimits
+from slabcell.vision.matching import FINE, MAX_ROTATIONS, Candidate, MatchLimits
+from slabcell.vision.native.library import FAST_LIBRARY, LIBRARY, Functions, load
 from slabcell.vision.native.memory import (
     at,
     normal_distribution,
+    of_forward,
+    of_limits,
     of_model,
+    of_outlines,
     of_poses,
     of_shapes,
+    of_slot_table,
+    of_slots,
     plain,
     shifts,
 )
 from slabcell.vision.outline import Rings
 from slabcell.vision.outline_set import OutlineSet
+from slabcell.vision.part_poses import PartPoses, SlotTable, part_poses
 from slabcell.vision.picture_model import (
     FIRST_REACH_PX,
     FIRST_WALL_RATIO_SIGMA,
@@ -58,26 +64,23 @@ from slabcell.vision.registration import (
     Registration,
     registrations_of,
 )
-from slabcell.vision.shapes import HARMONICS, SAMPLES, Shapes, Spectra
+from slabcell.vision.shapes import ENOUGH, HARMONICS, SAMPLES, Shapes, Spectra
 from slabcell.vision.survey import Survey, step_of
 from slabcell.vision.thresholds import LOGARITHMS, Split
 
 __all__ = ["FAST_LIBRARY", "LIBRARY", "NativeEngine"]
 
-LIBRARY: Final = Path(__file__).with_name("_kernel.so")
-FAST_LIBRARY: Final = Path(__file__).with_name("_kernel_v3.so")
-# As in kernel.h.
-VERSION: Final = 6
 LINE_FIELDS, RESULT_FIELDS, EXTRA_FIELDS, MAP_FIELDS, FOUND_FIELDS = 7, 10, 8, 63, 16
+CANDIDATE_FIELDS, PART_FIELDS = 6, 13
 # Numbers that a registration has to remember of each candidate, and of each of its pieces.
 REGISTER_OUTLINE, REGISTER_PIECE = 256, 48
-FAST_LEVEL: Final = 3
 # Rooms that are tried first: points of outlines, and outlines.
 POINTS, OUTLINES = 1 << 16, 2048
 # Outlines of more points than this are noise.
 MAX_POINTS: Final = 1 << 24
 
 Floats = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int64]
 Picture = npt.NDArray[np.uint8]
 
 
@@ -87,74 +90,33 @@ class NativeEngine:
     name = "native"
 
     def __init__(self, path: Path | None = None) -> None:
-        self._library = library = _load(path)
-        pointer, size, number, real = ctypes.c_void_p, ctypes.c_ssize_t, ctypes.c_int, ctypes.c_double
-        picture = [pointer, size, number, number]
-
-        def function(name: str, *arguments: Any, result: Any = None) -> Any:
-            found = getattr(library, "slabcell_" + name)
-            found.argtypes, found.restype = arguments, result
-            return found
-
-        long = ctypes.c_int64
-        self._survey = function("survey", *picture, number, *[pointer] * 3)
-        self._trace = function(
-            "trace",
-            *picture,
-            real,
-            number,
-            number,
-            real,
-            pointer,
-            pointer,
-            long,
-            *[pointer] * 3,
-            long,
-            pointer,
-            result=long,
-        )
-        self._to_plane = function("to_plane", pointer, number, number, real, long, pointer, pointer)
-        self._describe = function(
-            "describe", pointer, number, number, real, long, pointer, pointer, number, *[pointer] * 6
-        )
-        self._spectra = function("spectra", long, *[pointer] * 5)
-        self._match = function("match", long, *[pointer] * 5, long, *[pointer] * 12, long, pointer, result=long)
-        self._maps = function(
-            "local_maps", pointer, number, number, real, real, real, number, pointer, pointer, number, *[pointer] * 3
-        )
-        self._to_pixels = function("to_pixels", pointer, number, number, real, real, real, long, pointer, pointer)
-        self._project = function("project", number, *[pointer] * 4, number, pointer, pointer)
-        self._solve = function("solve", number, pointer, pointer, pointer, real, *[pointer] * 4)
-        self._measure = {
-            kind: function(f"measure_edges_u{8 * kind}", *picture, number, *[pointer] * 4) for kind in (1, 2)
-        }
-        self._split = function("split", *[pointer] * 3, result=number)
-        self._register = function(
-            "register", *picture, number, *[pointer] * 10, number, *[pointer] * 3, number, long, *[pointer] * 3
-        )
-        self.level = int(library.slabcell_cpu_level())
+        self._library = load(path)
+        self._kernel = Functions(self._library)
+        self.level = self._kernel.level
         self._rooms = threading.local()
-        self._table = normal_distribution()
-        self._logarithms = np.ascontiguousarray(LOGARITHMS)
-        turns = np.exp(-2j * np.pi * np.arange(FINE // 2) / FINE)
-        self._roots = np.ascontiguousarray(turns.view(np.float64))
+        self._normal = plain(normal_distribution())
+        self._logarithms = plain(LOGARITHMS)
+        self._roots = plain(np.exp(-2j * np.pi * np.arange(FINE // 2) / FINE), np.complex128)
+        self._nodes, self._inverse = (plain(part) for part in nodes_of_maps())
+        self._normal_at, self._logarithms_at, self._roots_at = map(at, (self._normal, self._logarithms, self._roots))
+        self._nodes_at = (len(self._nodes), at(self._nodes), at(self._inverse))
 
     def survey(self, picture: Picture) -> Survey:
         """See `survey.survey`."""
         height, width = picture.shape
-        grey, difference, step = np.empty(256, np.int64), np.empty(256, np.int64), step_of(picture)
-        steepest = np.empty(2 * -(-height // (2 * step)), np.uint8)
-        self._survey(
-            at(picture),
-            width,
-            width,
-            height,
-            step,
-            at(grey),
-            at(difference),
-            at(steepest),
+        step = step_of(picture)
+        counts, found = np.empty((2, 256), np.int64), np.empty(8)
+        steepest = self._room(height // (8 * step) + 8)
+        into = at(counts)
+        self._kernel.survey(
+            *(at(picture), width, width, height, step, self._logarithms_at),
+            *(at(steepest), into, into + counts.itemsize * 256, at(found)),
         )
-        return Survey(grey, difference, steepest)
+        noise, sharpest, lightest, is_split, *split = found.tolist()
+        return Survey(
+            *(counts[0], counts[1], noise, None if sharpest < 0.0 else sharpest, int(lightest)),
+            Split.of(*split) if is_split else None,
+        )
 
     def trace(self, picture: Picture, level: float, *, dark: bool, interpolate: bool, min_area_px: float) -> Contours:
         """See `contours.trace`.  Raises ImageError for outlines of more than MAX_POINTS points."""
@@ -166,7 +128,7 @@ class NativeEngine:
             areas, rims = np.empty(outlines_room), np.empty(outlines_room, np.uint8)
             totals = np.empty(2, np.int64)
             count = int(
-                self._trace(
+                self._kernel.trace(
                     *(at(picture), width, width, height),
                     *(level, int(dark), int(interpolate), min_area_px),
                     *(
@@ -202,80 +164,68 @@ class NativeEngine:
         """See `plane.PixelTable.at`."""
         rows, columns, _ = table.mm.shape
         pixels, found = plain(pixels), np.empty((len(pixels), 2))
-        self._to_plane(at(table.mm), rows, columns, table.pitch_px, len(pixels), at(pixels), at(found))
+        self._kernel.to_plane(at(table.mm), rows, columns, table.pitch_px, len(pixels), at(pixels), at(found))
         return found
 
     def describe(self, rings: Rings) -> Shapes:
         """See `shapes.describe`."""
-        return self._shapes(np.array(rings.points, np.float64, order="C"), rings.starts, None)
+        starts = plain(rings.starts, np.int64)
+        return self._shapes(plain(rings.points), starts[:-1], starts[1:], None)
 
-    def describe_pixels(self, table: PixelTable, pixels: Points, starts: npt.NDArray[np.int64]) -> Shapes:
-        """See `kernel.Engine.describe_pixels`."""
-        return self._shapes(plain(pixels), starts, table)
+    def describe_pixels(self, table: PixelTable, pixels: Points, begins: Index, ends: Index) -> Shapes:
+        """See `shapes.describe_pixels`."""
+        return self._shapes(plain(pixels), plain(begins, np.int64), plain(ends, np.int64), table)
 
-    def _shapes(self, points: Points, starts: npt.NDArray[np.int64], table: PixelTable | None) -> Shapes:
-        count, starts = len(starts) - 1, plain(starts, np.int64)
-        rows, columns, _ = (0, 0, 0) if table is None else table.mm.shape
-        grid, pitch = (None, 1.0) if table is None else (at(table.mm), table.pitch_px)
-        scratch = self._room(2 * int(np.diff(starts).max(initial=0)))
-        samples, middle = np.empty((count, SAMPLES), np.complex128), np.empty(count, np.complex128)
-        area, inertia, centroid = np.empty(count), np.empty(count), np.empty((count, 2))
-        self._describe(
-            *(grid, rows, columns, pitch, count, at(starts), at(points), SAMPLES, at(scratch)),
-            *(at(samples), at(middle), at(area), at(inertia), at(centroid)),
+    def _shapes(self, points: Points, begins: Index, ends: Index, table: PixelTable | None) -> Shapes:
+        count = len(begins)
+        longest = int((ends - begins).max()) if count else 0
+        if table is None:
+            where, enough = (None, 0, 0, 1.0), max(longest, 1)
+        else:
+            rows, columns, _ = table.mm.shape
+            where, enough = (at(table.mm), rows, columns, table.pitch_px), ENOUGH
+        scratch = self._room(4 * longest)
+        # All in one piece of memory: samples and spectra, then magnitudes, middle, area, inertia, centroid and energy.
+        columns_of = (2 * SAMPLES, 2 * SAMPLES, HARMONICS, 2, 1, 1, 2, 1)
+        memory = np.empty(count * sum(columns_of))
+        parts: list[Floats] = []
+        places: list[int] = []
+        begin, base = 0, at(memory)
+        for width in columns_of:
+            parts.append(memory[begin : begin + count * width])
+            places.append(base + memory.itemsize * begin)
+            begin += count * width
+        samples, values, magnitudes, middle, area, inertia, centroid, energy = parts
+        self._kernel.describe(
+            *(*where, count, at(begins), at(ends), at(points), enough, SAMPLES, at(scratch)),
+            *(places[0], places[3], places[4], places[5], places[6]),
+            *(self._roots_at, places[1], places[7], places[2]),
         )
-        values, energy = np.empty((count, SAMPLES), np.complex128), np.empty(count)
-        magnitudes = np.empty((count, HARMONICS))
-        self._spectra(
-            count,
-            at(samples),
-            at(self._roots),
-            at(values),
-            at(energy),
-            at(magnitudes),
+        spectra = Spectra(
+            values.view(np.complex128).reshape(count, SAMPLES), energy, magnitudes.reshape(count, HARMONICS)
         )
-        return Shapes(samples, middle, area, inertia, centroid, Spectra(values, energy, magnitudes))
+        return Shapes(
+            samples.view(np.complex128).reshape(count, SAMPLES),
+            *(middle.view(np.complex128), area, inertia, centroid.reshape(count, 2), spectra),
+        )
 
     def find_candidates(
         self, blobs: Shapes, slots: Shapes, limits: MatchLimits, allowed: npt.NDArray[np.bool_] | None = None
     ) -> list[Candidate]:
         """See `matching.find_candidates`."""
-        if len(blobs) == 0 or len(slots) == 0 or slots.normals is None:
+        if len(blobs) == 0 or len(slots) == 0:
             return []
-        mine, theirs = of_shapes(blobs), of_shapes(slots)
-        distances, symmetries = plain(limits.distance_mm), np.array(limits.symmetry_order, np.float64)
-        normals = plain(slots.normals, np.complex128)
+        mine = of_shapes(blobs)
+        (*theirs, normals), (distances, orders, how) = of_slots(slots).addresses, of_limits(limits).addresses
         pairs = None if allowed is None else plain(allowed, np.uint8)
-        how = np.array(
-            [
-                math.log1p(limits.area),
-                math.log1p(limits.inertia),
-                limits.worse,
-                limits.margin_mm,
-                math.radians(limits.same_deg),
-                limits.floor_mm,
-                CLOSE * limits.floor_mm,
-            ]
-        )
-        scratch = np.empty(len(slots) * (4 + 6 * MAX_ROTATIONS))
+        scratch = self._room(len(slots) * (4 + 6 * MAX_ROTATIONS))
         room = 2 * len(blobs) + 16
         while True:
-            found = np.empty((room, 6))
+            found = np.empty((room, CANDIDATE_FIELDS))
             count = int(
-                self._match(
-                    *(
-                        len(blobs),
-                        *(at(part) for part in mine),
-                        len(slots),
-                        *(at(part) for part in theirs),
-                    ),
-                    *(
-                        at(normals),
-                        at(distances),
-                        at(symmetries),
-                        None if pairs is None else at(pairs),
-                    ),
-                    *(at(how), at(self._roots), at(scratch), room, at(found)),
+                self._kernel.match(
+                    *(len(blobs), *(at(part) for part in mine), len(slots), *theirs, normals, distances, orders),
+                    *(None if pairs is None else at(pairs), how, self._roots_at, at(scratch), room, at(found)),
                 )
             )
             if count <= room:
@@ -284,38 +234,20 @@ class NativeEngine:
 
     def map_locally(self, plane: PlaneView, centre: Points, size: Floats) -> LocalMaps:
         """See `local_map.map_locally`; to 1e-3 px, where the plane has a table."""
-        table = plane.forward
-        if table is None or not table.holds(centre, size):
-            return map_locally(plane, centre, size)
-        rows, columns, _ = table.pixels.shape
-        nodes, inverse = nodes_of_maps()
-        centre, size, maps = plain(centre), plain(size), np.empty((len(centre), MAP_FIELDS))
-        self._maps(
-            *(at(table.pixels), rows, columns, table.x_mm, table.y_mm, table.pitch_mm),
-            *(
-                len(nodes),
-                at(nodes),
-                at(inverse),
-                len(centre),
-                at(centre),
-                at(size),
-                at(maps),
-            ),
-        )
-        return LocalMaps(maps)
+        if plane.forward is not None:
+            centre, size, maps = plain(centre), plain(size), np.empty((len(centre), MAP_FIELDS))
+            table = of_forward(plane.forward).addresses
+            if self._kernel.local_maps(*table, *self._nodes_at, len(centre), at(centre), at(size), at(maps)):
+                return LocalMaps(maps)
+        return map_locally(plane, centre, size)
 
     def to_pixels(self, plane: PlaneView, points: Points) -> Points:
         """See `plane.PlaneView.to_pixels`; to 1e-3 px, where the plane has a table."""
-        table = plane.forward
-        if table is None or not table.holds(points, 0.0):
-            return plane.to_pixels(points)
-        rows, columns, _ = table.pixels.shape
-        points, found = plain(points), np.empty((len(points), 2))
-        self._to_pixels(
-            *(at(table.pixels), rows, columns, table.x_mm, table.y_mm, table.pitch_mm),
-            *(len(points), at(points), at(found)),
-        )
-        return found
+        if plane.forward is not None:
+            points, found = plain(points), np.empty((len(points), 2))
+            if self._kernel.to_pixels(*of_forward(plane.forward).addresses, len(points), at(points), at(found)):
+                return found
+        return plane.to_pixels(points)
 
     def project(self, outlines: Outlines, maps: LocalMaps, poses: Poses, *, mirrored: bool) -> ProjectedEdges:
         """See `edge_projection.project`."""
@@ -323,7 +255,7 @@ class NativeEngine:
         lines, extras = np.empty((pieces, LINE_FIELDS)), np.empty((pieces, EXTRA_FIELDS))
         starts, table = plain(outlines.starts, np.int64), plain(outlines.pieces)
         placed, mapped = of_poses(poses), plain(maps.table)
-        self._project(
+        self._kernel.project(
             *(len(outlines), at(starts), at(table), at(placed), at(mapped)),
             *(int(mirrored), at(lines), at(extras)),
         )
@@ -334,9 +266,9 @@ class NativeEngine:
         picture, table, parameters = np.ascontiguousarray(grey), plain(lines.table), of_model(model)
         height, width = picture.shape
         results = np.empty((len(lines), RESULT_FIELDS))
-        self._measure[picture.dtype.itemsize](
+        self._kernel.measure[picture.dtype.itemsize](
             *(at(picture), width, width, height, len(lines), at(table)),
-            *(at(parameters), at(self._table), at(results)),
+            *(at(parameters), self._normal_at, at(results)),
         )
         return shifts(results)
 
@@ -347,17 +279,11 @@ class NativeEngine:
         starts, extras = plain(measured.starts, np.int64), plain(measured.extras)
         change, covariance = np.empty((count, UNKNOWNS)), np.empty((count, UNKNOWNS, UNKNOWNS))
         spread, remains = np.empty(count), np.empty(len(given))
-        self._solve(
+        self._kernel.solve(
             *(count, at(starts), at(extras), at(given), prior),
             *(at(change), at(covariance), at(spread), at(remains)),
         )
         return Solution(change, covariance, spread, remains)
-
-    def split(self, surveyed: Survey) -> Split | None:
-        """See `thresholds.split_in_two`."""
-        counts = plain(surveyed.grey, np.int64)
-        found = np.empty(4)
-        return Split.of(*found.tolist()) if self._split(at(counts), at(self._logarithms), at(found)) else None
 
     def register(
         self, grey: Grey, plane: PlaneView, outlines: OutlineSet, candidates: Sequence[Candidate], *, rough: bool
@@ -368,41 +294,50 @@ class NativeEngine:
         picture = np.ascontiguousarray(grey)
         height, width = picture.shape
         count, scale = len(candidates), plane.mm_per_px
-        slots = np.array([candidate.slot for candidate in candidates], np.int64)
-        motions = np.array([candidate[2:5] for candidate in candidates])
-        pieces = int(outlines.counts[slots].sum())
-        unit = np.exp(1j * motions[:, 0]) * outlines.pivots[slots].view(np.complex128)[:, 0]
-        position = motions[:, 1:] + np.column_stack([unit.real, unit.imag])
-        maps = self.map_locally(plane, position, outlines.reaches_mm[slots] + MARGIN_PX * scale)
-        key = (scale, plane.mirrored, rough)
-        how = _settings(*key)
-        kinds = [
-            at(part) for item in (outlines.whole, outlines.few, outlines.probes) for part in (item.starts, item.pieces)
-        ]
-        starts = np.empty(2 * count + 2, np.int64)
+        given, counts = np.array(candidates, np.float64), outlines.counts.tolist()
+        pieces = sum(counts[candidate.slot] for candidate in candidates)
+        how = _settings(scale, plane.mirrored, rough)
+        starts, found = np.empty(3 * count + 2, np.int64), np.empty((count, FOUND_FIELDS))
         scratch = self._room(count * REGISTER_OUTLINE + pieces * REGISTER_PIECE)
-        found = np.empty((count, FOUND_FIELDS))
-        self._register(
-            *(
-                at(picture),
-                width,
-                width,
-                height,
-                int(picture.dtype.itemsize == 2),
-                at(self._table),
-                at(how),
-            ),
-            *(
-                *kinds,
-                at(outlines.pivots),
-                at(outlines.reaches_mm),
-                count,
-                at(slots),
-                at(motions),
-            ),
-            *(at(maps.table), MAP_FIELDS, pieces, at(starts), at(scratch), at(found)),
+        maps: Floats | None = None
+        if plane.forward is None:
+            maps = self._maps_of(plane, outlines, candidates)
+        while True:
+            table = (0,) if plane.forward is None else of_forward(plane.forward).addresses
+            done = self._kernel.register(
+                *(at(picture), width, width, height, int(picture.dtype.itemsize == 2), self._normal_at, at(how)),
+                *(*of_outlines(outlines).addresses, *table, *self._nodes_at, None if maps is None else at(maps)),
+                *(count, at(given), pieces, at(starts), at(scratch), at(found)),
+            )
+            if done:
+                return registrations_of(candidates, found)
+            maps = self._maps_of(plane, outlines, candidates)
+
+    def _maps_of(self, plane: PlaneView, outlines: OutlineSet, candidates: Sequence[Candidate]) -> Floats:
+        """Return the maps of candidates by the full model of the camera."""
+        slots = [candidate.slot for candidate in candidates]
+        position = [item.motion.apply(outlines.pivots[item.slot]) for item in candidates]
+        return plain(
+            map_locally(plane, np.array(position), outlines.reaches_mm[slots] + MARGIN_PX * plane.mm_per_px).table
         )
-        return registrations_of(candidates, found[:, :7], found[:, 7:].reshape(count, 3, 3))
+
+    def part_poses(self, plane: PlaneView, slots: SlotTable, chosen: Sequence[Registration]) -> PartPoses:
+        """See `part_poses.part_poses`; outlines to 1e-3 px, where the plane has a table."""
+        if plane.forward is None or not chosen:
+            return part_poses(plane, slots, chosen)
+        count = len(chosen)
+        which = [item.candidate.slot for item in chosen]
+        begins = slots.starts.tolist()
+        ends = list(accumulate(begins[slot + 1] - begins[slot] for slot in which))
+        given = np.array([(item.rotation, item.x_mm, item.y_mm, *item.covariance) for item in chosen])
+        numbers, pixels = np.empty((count, PART_FIELDS)), np.empty((ends[-1], 2))
+        places = np.array(which, np.int64)
+        if not self._kernel.poses(
+            *(*of_forward(plane.forward).addresses, plane.mm_per_px, count, at(places), at(given)),
+            *(*of_slot_table(slots).addresses, at(numbers), at(pixels)),
+        ):
+            return part_poses(plane, slots, chosen)
+        return PartPoses(numbers.tolist(), [pixels[begin:end] for begin, end in zip([0, *ends], ends, strict=False)])
 
 
 @lru_cache(maxsize=16)
@@ -412,20 +347,8 @@ def _settings(scale: float, mirrored: bool, rough: bool) -> Floats:  # noqa: FBT
         [
             *(scale, float(mirrored), float(rough)),
             *(FLOOR_PX, PRIOR_SHARE / scale**2, SUPPORT_PX * scale, MISSING_PX * scale, AGAIN_PX * scale),
-            WALL_FLOOR_PX * scale,
+            *(WALL_FLOOR_PX * scale, MARGIN_PX * scale),
             *(SIGMA_PX, FIRST_REACH_PX, REACH_PX, WALL_RATIO, WALL_RATIO_SIGMA, FIRST_WALL_RATIO_SIGMA),
             *(*WALL_RATIO_RANGE, LIGHT_SIGMA, NOISE_SHARE, LEAST_NOISE),
         ]
     )
-
-
-def _load(path: Path | None) -> ctypes.CDLL:
-    """Return the library at a path, or the fastest that this processor can run."""
-    library = ctypes.CDLL(str(path or LIBRARY))
-    version = library.slabcell_kernel_version()
-    if version != VERSION:
-        msg = f"{path or LIBRARY} is version {version} of the kernel, this is {VERSION}: install slabcell again"
-        raise ValueError(msg)
-    if path is None and FAST_LIBRARY.exists() and library.slabcell_cpu_level() >= FAST_LEVEL:
-        return _load(FAST_LIBRARY)
-    return library

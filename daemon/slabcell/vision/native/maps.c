@@ -1,7 +1,6 @@
 /* How does the camera map a small part of the table?  local_map.py is the reference. */
 #include "kernel.h"
 
-#define TERMS 15
 #define MAX_NODES 64
 
 /* Cubic weights of four neighbours in a row, for a place `t` between the middle two. */
@@ -13,53 +12,59 @@ static inline void cubic(double t, double *w)
     w[3] = (t + 1.0) * t * (t - 1.0) / 6.0;
 }
 
-/* The pixels of top and foot of a point of the table, from the 16 samples around it. */
-static inline void seen_at(const double *grid, int rows, int columns, double a, double b, double sum[4])
+/* Whether the table reaches `size` mm around a point. */
+static inline int holds(const Forward *t, double x, double y, double size)
 {
-    const double fa = floor(a), fb = floor(b);
-    const int column = !(fa >= 1.0) ? 1 : fa > columns - 3 ? columns - 3 : (int)fa;
-    const int row = !(fb >= 1.0) ? 1 : fb > rows - 3 ? rows - 3 : (int)fb;
+    return x - size >= t->x0 && x + size <= t->x0 + t->pitch * (t->columns - 1) && y - size >= t->y0
+           && y + size <= t->y0 + t->pitch * (t->rows - 1);
+}
+
+/* The pixels of top and foot of a point of the table, from the 16 samples around it. */
+static inline void seen_at(const Forward *t, double x, double y, double sum[4])
+{
+    const double a = (x - t->x0) / t->pitch, b = (y - t->y0) / t->pitch, fa = floor(a), fb = floor(b);
+    const int column = !(fa >= 1.0) ? 1 : fa > t->columns - 3 ? t->columns - 3 : (int)fa;
+    const int row = !(fb >= 1.0) ? 1 : fb > t->rows - 3 ? t->rows - 3 : (int)fb;
     double wa[4], wb[4];
     cubic(a - column, wa);
     cubic(b - row, wb);
     for (int k = 0; k < 4; k++)
         sum[k] = 0.0;
     for (int j = 0; j < 4; j++) {
-        const double *line = grid + 4 * ((ptrdiff_t)(row - 1 + j) * columns + column - 1);
+        const double *line = t->grid + 4 * ((ptrdiff_t)(row - 1 + j) * t->columns + column - 1);
         for (int k = 0; k < 4; k++)
             sum[k] += wb[j] * (wa[0] * line[k] + wa[1] * line[4 + k] + wa[2] * line[8 + k] + wa[3] * line[12 + k]);
     }
 }
 
-/* `pixels` (n, 2): where points (n, 2) of the upper plane are seen; `grid` as below. */
-void slabcell_to_pixels(const double *grid, int rows, int columns, double x0, double y0, double pitch, int64_t count,
-                        const double *points, double *pixels)
+/* `pixels` (n, 2): where points (n, 2) of the upper plane are seen.  Returns 0 if the table does not hold them all. */
+int slabcell_to_pixels(const Forward *table, int64_t count, const double *points, double *pixels)
 {
     for (int64_t i = 0; i < count; i++) {
         double sum[4];
-        seen_at(grid, rows, columns, (points[2 * i] - x0) / pitch, (points[2 * i + 1] - y0) / pitch, sum);
+        if (!holds(table, points[2 * i], points[2 * i + 1], 0.0))
+            return 0;
+        seen_at(table, points[2 * i], points[2 * i + 1], sum);
         pixels[2 * i] = sum[0];
         pixels[2 * i + 1] = sum[1];
     }
+    return 1;
 }
 
-/* `grid` (rows, columns, 4) holds the pixels of the upper plane and of the work plane below, for points of the table
- * from (x0, y0) on, `pitch` mm apart.  `nodes` (n, 2) are places in -1 ... 1, `inverse` (terms, n) makes polynomials of
- * what is found there.  Writes a row for each place: centre, size, polynomials of top and foot (terms, 2). */
-void slabcell_local_maps(const double *grid, int rows, int columns, double x0, double y0, double pitch, int count,
-                         const double *nodes, const double *inverse, int places, const double *centres,
-                         const double *sizes, double *maps)
+/* `nodes` (n, 2) are places in -1 ... 1, `inverse` (terms, n) makes polynomials of what is found there.  Writes a row for
+ * each place: centre, size, polynomials of top and foot (terms, 2).  Returns 0 if the table does not hold them all. */
+int slabcell_local_maps(const Forward *table, int count, const double *nodes, const double *inverse, int places,
+                        const double *centres, const double *sizes, double *maps)
 {
-    const int fields = 3 + 4 * TERMS;
     for (int p = 0; p < places; p++) {
-        double seen[MAX_NODES][4], *map = maps + (ptrdiff_t)fields * p;
-        const double size = sizes[p];
-        for (int n = 0; n < count; n++) {
-            seen_at(grid, rows, columns, (centres[2 * p] + size * nodes[2 * n] - x0) / pitch,
-                    (centres[2 * p + 1] + size * nodes[2 * n + 1] - y0) / pitch, seen[n]);
-        }
-        map[0] = centres[2 * p];
-        map[1] = centres[2 * p + 1];
+        double seen[MAX_NODES][4], *map = maps + (ptrdiff_t)MAP_FIELDS * p;
+        const double size = sizes[p], x = centres[2 * p], y = centres[2 * p + 1];
+        if (!holds(table, x, y, size))
+            return 0;
+        for (int n = 0; n < count; n++)
+            seen_at(table, x + size * nodes[2 * n], y + size * nodes[2 * n + 1], seen[n]);
+        map[0] = x;
+        map[1] = y;
         map[2] = size;
         for (int t = 0; t < TERMS; t++) {
             double sum[4] = {0};
@@ -72,4 +77,5 @@ void slabcell_local_maps(const double *grid, int rows, int columns, double x0, d
             map[4 + 2 * TERMS + 2 * t] = sum[3];
         }
     }
+    return 1;
 }

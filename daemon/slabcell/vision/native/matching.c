@@ -13,7 +13,6 @@
 void slabcell_fft(double *values, int n, const double *roots, int most, int inverse);
 
 enum { SHAPE_X, SHAPE_Y, SHAPE_AREA, SHAPE_INERTIA, SHAPE_FIELDS };
-enum { FOUND_BLOB, FOUND_SLOT, FOUND_ROTATION, FOUND_X, FOUND_Y, FOUND_DISTANCE, FOUND_FIELDS };
 
 typedef struct {
     double area, inertia; /* greatest differences of the logarithms */
@@ -167,7 +166,7 @@ static int same_rotation(const Peak *a, const Peak *b, double symmetry, double s
     return fabs(turns - nearbyint(turns)) * step <= same;
 }
 
-/* Writes what each blob may be, at most `room` rows of FOUND_FIELDS, and returns how many there are.  `shapes` hold
+/* Writes what each blob may be, at most `room` rows of CANDIDATE_FIELDS, and returns how many there are.  `shapes` hold
  * SHAPE_FIELDS of each outline, `allowed` (blobs, slots) which pairs to compare, or is null: those that agree. */
 int64_t slabcell_match(int64_t blobs, const double *blob_shapes, const double *blob_samples, const double *blob_spectra,
                        const double *blob_energies, const double *blob_magnitudes, int64_t slots,
@@ -243,13 +242,13 @@ int64_t slabcell_match(int64_t blobs, const double *blob_shapes, const double *b
             if (written < room) {
                 const double *middle = slot_shapes + SHAPE_FIELDS * (ptrdiff_t)peak->slot;
                 const double c = cos(peak->rotation), s = sin(peak->rotation);
-                double *row = found + FOUND_FIELDS * written;
-                row[FOUND_BLOB] = (double)b;
-                row[FOUND_SLOT] = peak->slot;
-                row[FOUND_ROTATION] = peak->rotation;
-                row[FOUND_X] = shape[SHAPE_X] + peak->x - (c * middle[SHAPE_X] - s * middle[SHAPE_Y]);
-                row[FOUND_Y] = shape[SHAPE_Y] + peak->y - (s * middle[SHAPE_X] + c * middle[SHAPE_Y]);
-                row[FOUND_DISTANCE] = peak->distance;
+                double *row = found + CANDIDATE_FIELDS * written;
+                row[CANDIDATE_BLOB] = (double)b;
+                row[CANDIDATE_SLOT] = peak->slot;
+                row[CANDIDATE_ROTATION] = peak->rotation;
+                row[CANDIDATE_X] = shape[SHAPE_X] + peak->x - (c * middle[SHAPE_X] - s * middle[SHAPE_Y]);
+                row[CANDIDATE_Y] = shape[SHAPE_Y] + peak->y - (s * middle[SHAPE_X] + c * middle[SHAPE_Y]);
+                row[CANDIDATE_DISTANCE] = peak->distance;
             }
             written++;
         }

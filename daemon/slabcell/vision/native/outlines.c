@@ -1,6 +1,9 @@
 /* How do outlines look on the table, in numbers?  describe.py, outline.py and plane.py are the references. */
 #include "kernel.h"
 
+void slabcell_spectra(int64_t shapes, const double *samples, const double *roots, double *spectra, double *energies,
+                      double *magnitudes);
+
 /* Bilinear in a table of the plane: `grid` (rows, columns, 2) holds the mm at every `pitch`-th pixel. */
 void slabcell_to_plane(const double *grid, int rows, int columns, double pitch, int64_t count, const double *pixels,
                        double *mm)
@@ -121,19 +124,26 @@ static void resample(const double *ring, int64_t points, int count, double *samp
     }
 }
 
-/* Of each ring of `points`: `count` samples minus their mean, the mean, area and inertia, and centroid.  The points are
- * mm, or pixels if there is a `grid`.  `scratch` has room for the longest ring. */
-void slabcell_describe(const double *grid, int rows, int columns, double pitch, int64_t rings, const int64_t *starts,
-                       const double *points, int count, double *scratch, double *samples, double *middles, double *areas,
-                       double *inertias, double *centroids)
+/* Of each ring, points `begins` to `ends` of `points`: `count` samples minus their mean, the mean, area and inertia, and
+ * centroid.  The points are mm, or pixels if there is a `grid`; of long rings only every second or third is looked at, so
+ * that `enough` are left.  `scratch` has room for two of the longest ring.  Then their spectra, as in matching.c. */
+void slabcell_describe(const double *grid, int rows, int columns, double pitch, int64_t rings, const int64_t *begins,
+                       const int64_t *ends, const double *points, int64_t enough, int count, double *scratch,
+                       double *samples, double *middles, double *areas, double *inertias, double *centroids,
+                       const double *roots, double *spectra, double *energies, double *magnitudes)
 {
     for (int64_t r = 0; r < rings; r++) {
         double *mine = samples + 2 * (ptrdiff_t)count * r;
-        const int64_t size = starts[r + 1] - starts[r];
+        const double *ring = points + 2 * begins[r];
+        const int64_t all = ends[r] - begins[r], every = all / enough > 1 ? all / enough : 1;
+        const int64_t size = (all + every - 1) / every;
+        double *taken = grid ? scratch + 2 * size : scratch;
+        for (int64_t i = 0; i < size; i++) {
+            taken[2 * i] = ring[2 * every * i];
+            taken[2 * i + 1] = ring[2 * every * i + 1];
+        }
         if (grid)
-            slabcell_to_plane(grid, rows, columns, pitch, size, points + 2 * starts[r], scratch);
-        else
-            memcpy(scratch, points + 2 * starts[r], (size_t)(2 * size) * sizeof(double));
+            slabcell_to_plane(grid, rows, columns, pitch, size, taken, scratch);
         areas[r] = measure(scratch, size, centroids + 2 * r, inertias + r);
         resample(scratch, size, count, mine);
         double x = 0.0, y = 0.0;
@@ -150,4 +160,5 @@ void slabcell_describe(const double *grid, int rows, int columns, double pitch, 
         middles[2 * r] = x;
         middles[2 * r + 1] = y;
     }
+    slabcell_spectra(rings, samples, roots, spectra, energies, magnitudes);
 }

@@ -2,8 +2,6 @@
 #include "kernel.h"
 
 #define DEGREE 4
-#define TERMS 15
-enum { MAP_X, MAP_Y, MAP_SIZE, MAP_TOP, MAP_FOOT = MAP_TOP + 2 * TERMS, MAP_FIELDS = MAP_FOOT + 2 * TERMS };
 
 /* The terms x^i y^j in the order of local_map.TERMS, and their derivatives. */
 static void terms(double x, double y, double *value, double *by_x, double *by_y)

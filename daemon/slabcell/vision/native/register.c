@@ -15,6 +15,7 @@ typedef struct {
     double missing_mm;         /* a missing piece counts as if it were this far off */
     double again_mm;           /* another look is taken after a motion of more than this */
     double wall_floor_mm;
+    double margin_mm;          /* how far beyond an outline its map holds */
     double sigma, first_reach, reach, wall_ratio, wall_ratio_sigma, first_wall_ratio_sigma; /* before the picture is asked */
     double least_wall_sigma, most_wall_sigma, light_sigma;
     double noise_share, least_noise;
@@ -82,7 +83,7 @@ static void judge(int outlines, const Room *room, const Settings *how)
 
 /* Gathers the pieces of candidates `which` (n of them, or all if null) and takes one look at them. */
 static void look(const Picture *p, const Outlines *outlines, int kind, int n, const int64_t *which, const int64_t *slots,
-                 const double *poses, const double *maps, int map_fields, const Model *model, const Room *room)
+                 const double *poses, const double *maps, const Model *model, const Room *room)
 {
     room->starts[0] = 0;
     for (int i = 0; i < n; i++) {
@@ -92,7 +93,7 @@ static void look(const Picture *p, const Outlines *outlines, int kind, int n, co
                (size_t)(PIECE_FIELDS * count) * sizeof(double));
         room->starts[i + 1] = room->starts[i] + count;
         memcpy(room->poses + POSE_FIELDS * i, poses + POSE_FIELDS * c, POSE_FIELDS * sizeof(double));
-        memcpy(room->maps + map_fields * (ptrdiff_t)i, maps + map_fields * c, (size_t)map_fields * sizeof(double));
+        memcpy(room->maps + MAP_FIELDS * (ptrdiff_t)i, maps + MAP_FIELDS * c, (size_t)MAP_FIELDS * sizeof(double));
     }
     const int64_t pieces = room->starts[n];
     slabcell_project(n, room->starts, room->pieces, room->poses, room->maps, p->how->mirrored > 0.5, room->lines,
@@ -181,7 +182,7 @@ static void judge_walls(int64_t pieces, const Room *room, const Settings *how, M
 
 /* What the edges of this picture are like, asked at some of the candidates; returns how far they lie outside. */
 static double ask(const Picture *p, const Outlines *outlines, int candidates, const int64_t *slots, const double *poses,
-                  const double *maps, int map_fields, const Room *room, Model *model)
+                  const double *maps, const Room *room, Model *model)
 {
     const Settings *how = p->how;
     int64_t which[PROBED];
@@ -194,7 +195,7 @@ static double ask(const Picture *p, const Outlines *outlines, int candidates, co
     const Model question = {.sigma = how->sigma, .reach = how->reach, .wall_ratio = how->wall_ratio,
                             .wall_ratio_sigma = how->first_wall_ratio_sigma, .noise = 1.0, .grain_reach = 3.0,
                             .least_scatter = 0.25, .fit_blur = 1.0};
-    look(p, outlines, how->rough > 0.5 ? FEW : PROBES, asked, which, slots, poses, maps, map_fields, &question, room);
+    look(p, outlines, how->rough > 0.5 ? FEW : PROBES, asked, which, slots, poses, maps, &question, room);
     const int64_t pieces = room->starts[asked];
     double values[4][MAX_PROBES];
     int n = 0;
@@ -229,54 +230,64 @@ static double ask(const Picture *p, const Outlines *outlines, int candidates, co
     return slabcell_nth(values[3], n, n / 2);
 }
 
-/* `reaches` (mm): how far each outline reaches from its pivot.  `motions` (candidates, 3): rotation (rad), x, y; `slots`: which of the outlines each is.  `maps` are made for these
- * candidates.  `scratch` has room for candidates and pieces as kernel.py says.  Writes FOUND_FIELDS of each. */
-void slabcell_register(const void *image, ptrdiff_t stride, int width, int height, int wide, const double *table,
-                       const Settings *how, const int64_t *whole_starts, const double *whole, const int64_t *few_starts,
-                       const double *few, const int64_t *probe_starts, const double *probes, const double *pivots,
-                       const double *reaches, int candidates, const int64_t *slots, const double *motions, const double *maps, int map_fields,
-                       int64_t pieces, int64_t *starts, double *scratch, double *found)
+/* `candidates` (count, CANDIDATE_FIELDS): what blobs may be.  `given`, `few`, `probes`: the outlines, whole and in part,
+ * with their pivots and how far each reaches from it (mm).  Either there are `maps` for these candidates, or they are made
+ * from the `table`, the nodes and the inverse as in maps.c.  `scratch` has room for candidates and pieces as kernel.py
+ * says.  Writes FOUND_FIELDS of each.  Returns 0 where the table does not reach so far. */
+int slabcell_register(const void *image, ptrdiff_t stride, int width, int height, int wide, const double *normal,
+                      const Settings *how, const int64_t *whole_starts, const double *whole, const int64_t *few_starts,
+                      const double *few, const int64_t *probe_starts, const double *probes, const double *pivots,
+                      const double *reaches, const Forward *table, int nodes, const double *node, const double *inverse,
+                      const double *maps, int candidates, const double *given, int64_t pieces, int64_t *starts,
+                      double *scratch, double *found)
 {
-    const Picture picture = {image, stride, width, height, wide, table, how};
+    const Picture picture = {image, stride, width, height, wide, normal, how};
     const Outlines outlines = {{whole_starts, few_starts, probe_starts}, {whole, few, probes}, pivots};
     double *next = scratch;
 #define TAKE(count) (next += (count), next - (count))
     double *poses = TAKE(POSE_FIELDS * candidates), *covariances = TAKE(16 * candidates), *spreads = TAKE(candidates);
-    double *support = TAKE(SUPPORT_FIELDS * candidates), *sorted = TAKE(candidates);
-    const Room room = {starts, TAKE(PIECE_FIELDS * pieces), TAKE(POSE_FIELDS * candidates), TAKE(map_fields * candidates),
+    double *support = TAKE(SUPPORT_FIELDS * candidates), *sorted = TAKE(candidates), *own = TAKE(MAP_FIELDS * candidates);
+    const Room room = {starts, TAKE(PIECE_FIELDS * pieces), TAKE(POSE_FIELDS * candidates), TAKE(MAP_FIELDS * candidates),
                        TAKE(LINE_FIELDS * pieces), TAKE(EXTRA_FIELDS * pieces), TAKE(RESULT_FIELDS * pieces),
                        TAKE(3 * pieces), TAKE(pieces), TAKE(4 * candidates), TAKE(16 * candidates), TAKE(candidates),
                        TAKE(SUPPORT_FIELDS * candidates)};
 #undef TAKE
-    int64_t *again = starts + candidates + 1;
+    int64_t *again = starts + candidates + 1, *slots = again + candidates;
     for (int c = 0; c < candidates; c++) {
-        const double *motion = motions + 3 * (ptrdiff_t)c, *pivot = pivots + 2 * slots[c];
-        const double cosine = cos(motion[0]), sine = sin(motion[0]);
+        const double *candidate = given + CANDIDATE_FIELDS * (ptrdiff_t)c;
+        slots[c] = (int64_t)candidate[CANDIDATE_SLOT];
+        const double *pivot = pivots + 2 * slots[c], rotation = candidate[CANDIDATE_ROTATION];
+        const double cosine = cos(rotation), sine = sin(rotation);
         double *pose = poses + POSE_FIELDS * (ptrdiff_t)c;
-        pose[POSE_ROTATION] = motion[0];
-        pose[POSE_X] = cosine * pivot[0] - sine * pivot[1] + motion[1];
-        pose[POSE_Y] = sine * pivot[0] + cosine * pivot[1] + motion[2];
+        pose[POSE_ROTATION] = rotation;
+        pose[POSE_X] = cosine * pivot[0] - sine * pivot[1] + candidate[CANDIDATE_X];
+        pose[POSE_Y] = sine * pivot[0] + cosine * pivot[1] + candidate[CANDIDATE_Y];
         pose[POSE_PIVOT_X] = pivot[0];
         pose[POSE_PIVOT_Y] = pivot[1];
         pose[POSE_KERF] = 0.0;
         again[c] = c;
+        const double size = reaches[slots[c]] + how->margin_mm;
+        if (!maps && !slabcell_local_maps(table, nodes, node, inverse, 1, pose + POSE_X, &size, own + MAP_FIELDS * (ptrdiff_t)c))
+            return 0;
     }
+    if (!maps)
+        maps = own;
     if (how->rough > 0.5) {
         const Model first = {.sigma = how->sigma, .reach = how->first_reach, .wall_ratio = how->wall_ratio,
                              .wall_ratio_sigma = how->first_wall_ratio_sigma, .noise = 1.0, .grain_reach = 3.0,
                              .least_scatter = 0.25};
-        look(&picture, &outlines, FEW, candidates, NULL, slots, poses, maps, map_fields, &first, &room);
+        look(&picture, &outlines, FEW, candidates, NULL, slots, poses, maps, &first, &room);
         for (int c = 0; c < candidates; c++)
             move(poses + POSE_FIELDS * (ptrdiff_t)c, room.changes + 4 * (ptrdiff_t)c);
     }
     Model model;
-    const double offset = ask(&picture, &outlines, candidates, slots, poses, maps, map_fields, &room, &model);
+    const double offset = ask(&picture, &outlines, candidates, slots, poses, maps, &room, &model);
     for (int c = 0; c < candidates; c++)
         poses[POSE_FIELDS * (ptrdiff_t)c + POSE_KERF] += offset;
     /* Another look only at what moved: a pose is exact when it is measured where it is. */
     int left = candidates;
     for (int round = 0; round < LOOKS && left; round++) {
-        look(&picture, &outlines, WHOLE, left, again, slots, poses, maps, map_fields, &model, &room);
+        look(&picture, &outlines, WHOLE, left, again, slots, poses, maps, &model, &room);
         int moved = 0;
         for (int i = 0; i < left; i++) {
             const int64_t c = again[i];
@@ -315,4 +326,5 @@ void slabcell_register(const void *image, ptrdiff_t stride, int width, int heigh
                 row[FOUND_COVARIANCE + 3 * i + j] =
                     covariances[16 * (ptrdiff_t)c + 4 * i + j] * scatter * scatter + (i == j && i < 2 ? wall_floor : 0.0);
     }
+    return 1;
 }

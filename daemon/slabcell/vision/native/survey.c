@@ -16,49 +16,13 @@ int slabcell_cpu_level(void)
 
 static inline int apart(int a, int b) { return a > b ? a - b : b - a; }
 
-/* `grey` counts the levels of every step-th pixel of every step-th row; `difference` how much neighbours among those
- * differ, in every step-th of those rows; `steepest` holds for every 2·step-th row the greatest difference over two
- * pixels along the row, and across it. */
-void slabcell_survey(const uint8_t *image, ptrdiff_t stride, int width, int height, int step, int64_t *grey,
-                     int64_t *difference, uint8_t *steepest)
-{
-    uint32_t parts[4][256] = {{0}}, differences[256] = {0};
-    for (int v = 0; v < height; v += step) {
-        const uint8_t *row = image + v * stride;
-        int u = 0, turn = 0;
-        for (; u < width; u += step, turn = (turn + 1) & 3)
-            parts[turn][row[u]]++;
-        if (v % (step * step) == 0)
-            for (u = step; u < width; u += step)
-                differences[apart(row[u], row[u - step])]++;
-    }
-    for (int i = 0; i < 256; i++) {
-        grey[i] = (int64_t)parts[0][i] + parts[1][i] + parts[2][i] + parts[3][i];
-        difference[i] = differences[i];
-    }
-    for (int v = 0, at = 0; v < height; v += 2 * step, at += 2) {
-        const uint8_t *row = image + v * stride, *above = row - stride, *below = row + stride;
-        uint8_t most = 0;
-        for (int u = 0; u + 2 < width; u++) {
-            const uint8_t a = row[u], b = row[u + 2];
-            const uint8_t d = a > b ? a - b : b - a;
-            most = d > most ? d : most;
-        }
-        steepest[at] = most;
-        most = 0;
-        if (v > 0 && v + 1 < height)
-            for (int u = 0; u < width; u++) {
-                const uint8_t a = above[u], b = below[u];
-                const uint8_t d = a > b ? a - b : b - a;
-                most = d > most ? d : most;
-            }
-        steepest[at + 1] = most;
-    }
-}
+enum { NOISE, SHARPEST, LIGHTEST, SPLIT, SPLIT_LEVEL, SPLIT_DARK, SPLIT_LIGHT, SPLIT_VALLEY };
+#define RIM_STEP 4
+#define STEEPEST 4
 
 /* The best split of a histogram in two populations, on a scale `values`; thresholds.py is the reference.  `found`:
  * level, means of both, and the share of the smaller one that lies half way between.  Returns 0 if there is none. */
-int slabcell_split(const int64_t *histogram, const double *values, double *found)
+static int split_in_two(const int64_t *histogram, const double *values, double *found)
 {
     double weight = 0.0, moment = 0.0, all = 0.0, whole = 0.0, between[255], most = 0.0;
     for (int i = 0; i < 256; i++) {
@@ -100,4 +64,90 @@ int slabcell_split(const int64_t *histogram, const double *values, double *found
     found[2] = high;
     found[3] = valley / fmin(weight, all - weight);
     return 1;
+}
+
+/* The noise, from how much neighbours differ: the median of |N(0, s*sqrt(2))| is 0.954 s, interpolated within its level. */
+static double noise_of(const uint32_t *differences)
+{
+    int64_t total = 0, below = 0;
+    for (int i = 0; i < 256; i++)
+        total += differences[i];
+    if (!total)
+        return 0.0;
+    const double half = 0.5 * (double)total;
+    int middle = 0;
+    while ((double)(below + differences[middle]) < half)
+        below += differences[middle++];
+    const double share = (half - (double)below) / fmax(differences[middle], 1.0);
+    return fmax(0.0, middle - 0.5 + share) / 0.954;
+}
+
+/* Counts over the levels: `grey` of every step-th pixel of every step-th row, `rim` of every RIM_STEP-th of the outermost
+ * pixels.  `found`: the noise, from how much neighbours differ; the greatest difference over two pixels along or across
+ * those rows in which it is greatest; the level that 0.5 % of the pixels exceed; and the split of the histogram on the
+ * scale `values`.  `steepest` has room for two bytes of every 2*step-th row. */
+void slabcell_survey(const uint8_t *image, ptrdiff_t stride, int width, int height, int step, const double *values,
+                     uint8_t *steepest, int64_t *grey, int64_t *rim, double *found)
+{
+    uint32_t parts[4][256] = {{0}}, differences[256] = {0};
+    for (int v = 0; v < height; v += step) {
+        const uint8_t *row = image + v * stride;
+        int u = 0, turn = 0;
+        for (; u < width; u += step, turn = (turn + 1) & 3)
+            parts[turn][row[u]]++;
+        if (v % (step * step) == 0)
+            for (u = step; u < width; u += step)
+                differences[apart(row[u], row[u - step])]++;
+    }
+    int64_t total = 0;
+    for (int i = 0; i < 256; i++) {
+        grey[i] = (int64_t)parts[0][i] + parts[1][i] + parts[2][i] + parts[3][i];
+        rim[i] = 0;
+        total += grey[i];
+    }
+    int rows = 0;
+    for (int v = 0; v < height; v += 2 * step) {
+        const uint8_t *row = image + v * stride, *above = row - stride, *below = row + stride;
+        uint8_t most = 0;
+        for (int u = 0; u + 2 < width; u++) {
+            const uint8_t a = row[u], b = row[u + 2];
+            const uint8_t d = a > b ? a - b : b - a;
+            most = d > most ? d : most;
+        }
+        steepest[rows++] = most;
+        most = 0;
+        if (v > 0 && v + 1 < height)
+            for (int u = 0; u < width; u++) {
+                const uint8_t a = above[u], b = below[u];
+                const uint8_t d = a > b ? a - b : b - a;
+                most = d > most ? d : most;
+            }
+        steepest[rows++] = most;
+    }
+    for (int u = 0; u < width; u += RIM_STEP) {
+        rim[image[u]]++;
+        rim[image[(height - 1) * stride + u]]++;
+    }
+    for (int v = 0; v < height; v += RIM_STEP) {
+        rim[image[v * stride]]++;
+        rim[image[v * stride + width - 1]]++;
+    }
+    found[NOISE] = noise_of(differences);
+    /* The median of the steepest STEEPEST rows, the lower one of the middle two. */
+    uint8_t top[STEEPEST / 2] = {0};
+    for (int i = 0; i < rows; i++) {
+        uint8_t value = steepest[i];
+        for (int k = 0; k < STEEPEST / 2; k++)
+            if (value > top[k]) {
+                const uint8_t less = top[k];
+                top[k] = value;
+                value = less;
+            }
+    }
+    found[SHARPEST] = rows < STEEPEST ? -1.0 : top[STEEPEST / 2 - 1];
+    int lightest = 255;
+    for (int64_t above = grey[255]; lightest > 0 && above <= total / 200; above += grey[--lightest])
+        ;
+    found[LIGHTEST] = lightest;
+    found[SPLIT] = split_in_two(grey, values, found + SPLIT_LEVEL);
 }

@@ -15,7 +15,7 @@ import numpy.typing as npt
 import shapely
 
 from slabcell.recipe import PromptableParameters
-from slabcell.vision.blobs import RawBlob, find_blobs
+from slabcell.vision.blobs import Blobs, RawBlob, find_blobs
 from slabcell.vision.describe import describe_blobs
 from slabcell.vision.kernel import engine
 from slabcell.vision.matching import MatchLimits
@@ -121,7 +121,7 @@ def _of_a_slot(
     """Return the masks with area and inertia of a slot, and how far each outline is from the nearest slot's, in mm."""
     if not masks:
         return [], []
-    shapes = describe_blobs([mask.blob for mask in masks], prepared.plane, without_walls=prepared.walls)
+    shapes = describe_blobs(Blobs.of([mask.blob for mask in masks]), prepared.plane, without_walls=prepared.walls)
     slots = prepared.shapes
     with np.errstate(divide="ignore", invalid="ignore"):
         area = np.abs(np.log(shapes.area_mm2[:, None] / slots.area_mm2))

@@ -1,6 +1,5 @@
 """Where is a promptable model asked?  At coarse blobs: box and middle of each, and the thick places of large ones."""
 
-from collections.abc import Sequence
 from typing import Final
 
 import cv2
@@ -8,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slabcell.geometry import Points
-from slabcell.vision.blobs import RawBlob
+from slabcell.vision.blobs import Blobs
 from slabcell.vision.promptable.model import Prompt
 
 __all__ = ["prompts_of"]
@@ -20,9 +19,7 @@ THINNEST: Final = 0.4
 MARGIN: Final = 0.03
 
 
-def prompts_of(
-    mask: npt.NDArray[np.uint8], blobs: Sequence[RawBlob], largest_px: float, most: int
-) -> list[tuple[int, Prompt]]:
+def prompts_of(mask: npt.NDArray[np.uint8], blobs: Blobs, largest_px: float, most: int) -> list[tuple[int, Prompt]]:
     """Return at most ``most`` prompts, each with the index of its blob, largest blobs first.
 
     ``largest_px``: area of the largest slab.  A larger blob is several slabs, or slabs with a shadow: each of its thick

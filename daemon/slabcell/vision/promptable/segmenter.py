@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slabcell.recipe import PromptableParameters
-from slabcell.vision.blobs import RawBlob
+from slabcell.vision.blobs import Blobs, RawBlob
 from slabcell.vision.prepared import Prepared
 from slabcell.vision.promptable.candidates import outline_of, select
 from slabcell.vision.promptable.contract import open_files
@@ -38,8 +38,8 @@ class PromptableSegmenter:
         self._model = PromptableModel(open_files(Path(parameters.encoder), decoder, parameters.threads))
 
     def segment(
-        self, image: npt.NDArray[Any], coarse: Segmentation, blobs: list[RawBlob], prepared: Prepared
-    ) -> tuple[Segmentation, list[RawBlob]]:
+        self, image: npt.NDArray[Any], coarse: Segmentation, blobs: Blobs, prepared: Prepared
+    ) -> tuple[Segmentation, Blobs]:
         """Return the mask and the blobs of the slabs in a picture whose coarse blobs are known.
 
         Raises ImageError where the model takes too long, ModelError where it fails.
@@ -62,7 +62,7 @@ class PromptableSegmenter:
             f" {len(selection.blobs)} masks kept, left out {selection.wrong} of no slot's area and inertia,"
             f" {selection.unstable} not firm, {selection.repeated} that overlap a better one"
         )
-        return replace(coarse, level=None, made=mask, description=text), kept
+        return replace(coarse, level=None, made=mask, description=text), Blobs.of(kept)
 
 
 def _explained(blob: RawBlob, shapes: list[Any]) -> float:
