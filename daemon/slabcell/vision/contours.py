@@ -31,7 +31,7 @@ class Contours:
 
     ``points`` (n, 2): u and v of all, one border after the other; ``starts`` (borders + 1,): where each begins;
     ``area_px`` (borders,): what each encloses; ``touches_rim`` (borders,): the picture's rim cuts it; ``left_out``: how
-    many smaller ones there were.
+    many smaller ones there were, of those that were found.
     """
 
     points: Points
@@ -44,10 +44,13 @@ class Contours:
         return len(self.area_px)
 
 
-def trace(picture: Picture, level: float, *, dark: bool, interpolate: bool, min_area_px: float) -> Contours:
+def trace(
+    picture: Picture, level: float, *, dark: bool, interpolate: bool, min_area_px: float, row_shift: int = 0
+) -> Contours:
     """Return the borders of the regions above ``level``, or not above it if ``dark``, of at least this area.
 
     ``picture`` (h, w).  ``interpolate``: place the points by the grey levels, else half way between pixels (a mask).
+    ``row_shift``: regions are found on every 2^row_shift-th row of the picture; what lies between two of them is not.
     """
     height, width = picture.shape
     if not 0 <= np.floor(level) <= 254:
@@ -60,7 +63,7 @@ def trace(picture: Picture, level: float, *, dark: bool, interpolate: bool, min_
     seen: set[tuple[int, int]] = set()
     left_out = 0
     for v, u in np.argwhere(inside[1:-1, 1:-1] & ~inside[1:-1, :-2]).tolist():
-        if (u, v) in seen:
+        if v % (1 << row_shift) or (u, v) in seen:
             continue
         points, touches = _follow(picture, inside, level, u, v, seen, interpolate=interpolate)
         if (len(points) / 4.0) ** 2 < min_area_px:

@@ -58,7 +58,9 @@ class Engine(Protocol):
         """See `survey.survey`."""
         ...
 
-    def trace(self, picture: Picture, level: float, *, dark: bool, interpolate: bool, min_area_px: float) -> Contours:
+    def trace(
+        self, picture: Picture, level: float, *, dark: bool, interpolate: bool, min_area_px: float, row_shift: int = 0
+    ) -> Contours:
         """See `contours.trace`."""
         ...
 
@@ -120,9 +122,13 @@ class NumpyEngine:
         """See `survey.survey`."""
         return survey.survey(picture)
 
-    def trace(self, picture: Picture, level: float, *, dark: bool, interpolate: bool, min_area_px: float) -> Contours:
+    def trace(
+        self, picture: Picture, level: float, *, dark: bool, interpolate: bool, min_area_px: float, row_shift: int = 0
+    ) -> Contours:
         """See `contours.trace`."""
-        return contours.trace(picture, level, dark=dark, interpolate=interpolate, min_area_px=min_area_px)
+        return contours.trace(
+            picture, level, dark=dark, interpolate=interpolate, min_area_px=min_area_px, row_shift=row_shift
+        )
 
     def to_plane(self, table: PixelTable, pixels: Points) -> Points:
         """See `plane.PixelTable.at`."""

@@ -162,7 +162,7 @@ class Locator(Prepared):
 
         Outlines are put back by what the recipe's steps have eroded, so that blobs may be parted by eroding them.
         """
-        blobs, left_out = segmentation.blobs(min_area_px)
+        blobs, left_out = segmentation.blobs(min_area_px, self.row_shift)
         eroded = net_erosion_px(self.recipe.segmentation.morphology)
         if not blobs or eroded == 0.0:
             return blobs, left_out

@@ -36,6 +36,8 @@ WINDOW = 3
 EVERY = 2
 # Laid over the blob, another candidate may be off by CLOSE floors more than the best; a distance counts to FAR of them.
 CLOSE, FAR = 3.0, 20.0
+# What a step moves by less than so many floors lies still.
+STILL = 0.2
 
 
 class Candidate(NamedTuple):
@@ -161,7 +163,7 @@ def _refined(
     compared = np.arange(0, SAMPLES, EVERY)
     near = (compared[:, None] - shift + np.arange(-WINDOW, WINDOW + 1)) % SAMPLES
     place, spread, distance = 0j, 8.0 * floor_mm, 0.0
-    for _ in range(REFINEMENTS):
+    for step in range(REFINEMENTS):
         turn = np.exp(1j * rotation)
         points, outward = model * turn, normals[slot] * turn
         reach = max(1.0, float((np.abs(points.real) + np.abs(points.imag)).max()))
@@ -178,6 +180,8 @@ def _refined(
         change: list[float] = np.asarray(np.linalg.solve(left, rows.T @ (weight * away)), np.float64).tolist()
         place += complex(change[0], change[1])
         rotation += change[2] / reach
+        if step > 0 and max(abs(value) for value in change[:3]) < STILL * floor_mm:
+            break
         mean = float(np.sum(weight * np.minimum(np.abs(away), 4.0 * spread)) / max(float(weight.sum()), 1e-9))
         spread = max(2.0 * floor_mm, min(spread, 2.0 * mean))
     moved = blobs.middle[blob] + place - np.exp(1j * rotation) * slots.middle[slot]

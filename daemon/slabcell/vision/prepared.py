@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+import shapely
 
 from slabcell.calibration.model import Calibration
 from slabcell.geometry import Polygon
@@ -28,6 +29,8 @@ Complex = npt.NDArray[np.complex128]
 # Outlines count as alike when no corner leaves the other by more than this in pixels, or by the recipe's alike_mm,
 # whichever is more.
 ALIKE_PX = 0.15
+# On so many of the rows that are searched every slab must lie.
+ROWS = 4
 # What the whole-outline registration may be off before the edges are measured: in pixels, and in parts of the size.
 COARSE_PX = 1.5
 COARSE_SHARE = 0.01
@@ -93,6 +96,14 @@ class Prepared:
     def sorted_areas_mm2(self) -> list[float]:
         """The slots' areas, the smallest first."""
         return sorted(self.shapes.area_mm2.tolist())
+
+    @cached_property
+    def row_shift(self) -> int:
+        """Slabs are looked for on every 2^row_shift-th row of a picture, which meets the thinnest several times."""
+        corners = (shapely.get_coordinates(shapely.minimum_rotated_rectangle(slot.shape)) for slot in self.slots)
+        sides = (np.hypot(*np.diff(box, axis=0)[:2].T).min() for box in corners)
+        thinnest_px = float(min(sides)) / self.plane.mm_per_px
+        return max(shift for shift in (0, 1, 2) if shift == 0 or thinnest_px >= ROWS << shift)
 
     @cached_property
     def pieces(self) -> tuple[EdgePieces, ...]:

@@ -63,15 +63,20 @@ class Segmentation:
         kind = cv2.THRESH_BINARY if self.light else cv2.THRESH_BINARY_INV
         return _as_mask(cv2.threshold(self.picture, NOTHING if self.level is None else self.level, 255, kind)[1])
 
-    def blobs(self, min_area_px: float) -> tuple[Blobs, int]:
+    def blobs(self, min_area_px: float, row_shift: int = 0) -> tuple[Blobs, int]:
         """Return the blobs of at least this area, largest first, and how many others were left out.
 
-        Where one level parts slabs from table their outlines are known to a fraction of a pixel.
+        Where one level parts slabs from table their outlines are known to a fraction of a pixel, and only every
+        2^row_shift-th row of the picture is searched for them.
         """
         if self.level is None:
             return find_blobs(self.mask, min_area_px)
         contours = engine().trace(
-            self.picture, self.level, dark=not self.light, interpolate=True, min_area_px=min_area_px
+            *(self.picture, self.level),
+            dark=not self.light,
+            interpolate=True,
+            min_area_px=min_area_px,
+            row_shift=row_shift,
         )
         return Blobs.of_contours(contours)
 

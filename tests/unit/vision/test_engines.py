@@ -72,6 +72,10 @@ def test_the_outlines_agree(engine: NativeEngine, smooth: float, shape: tuple[in
         assert np.allclose(found.area_px, expected.area_px)
         assert np.array_equal(found.touches_rim, expected.touches_rim)
         assert found.left_out == expected.left_out
+        sparse = engine.trace(picture, level, dark=dark, interpolate=True, min_area_px=least, row_shift=2)
+        wanted = contours.trace(picture, level, dark=dark, interpolate=True, min_area_px=least, row_shift=2)
+        assert np.allclose(sparse.points, wanted.points)
+        assert (len(sparse), sparse.left_out) == (len(wanted), wanted.left_out)
 
 
 def test_outlines_are_those_of_an_independent_implementation(engine: NativeEngine):

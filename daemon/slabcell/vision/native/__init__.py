@@ -118,11 +118,13 @@ class NativeEngine:
             Split.of(*split) if is_split else None,
         )
 
-    def trace(self, picture: Picture, level: float, *, dark: bool, interpolate: bool, min_area_px: float) -> Contours:
+    def trace(
+        self, picture: Picture, level: float, *, dark: bool, interpolate: bool, min_area_px: float, row_shift: int = 0
+    ) -> Contours:
         """See `contours.trace`.  Raises ImageError for outlines of more than MAX_POINTS points."""
         height, width = picture.shape
         points_room, outlines_room = POINTS, OUTLINES
-        scratch = self._room(2 * (height + 2) * ((width + 63) // 64 + 2))
+        scratch = self._room(((height >> row_shift) + 1) * ((width + 63) // 64))
         while True:
             points, starts = np.empty((points_room, 2)), np.empty(outlines_room + 1, np.int64)
             areas, rims = np.empty(outlines_room), np.empty(outlines_room, np.uint8)
@@ -130,7 +132,7 @@ class NativeEngine:
             count = int(
                 self._kernel.trace(
                     *(at(picture), width, width, height),
-                    *(level, int(dark), int(interpolate), min_area_px),
+                    *(level, int(dark), int(interpolate), min_area_px, row_shift),
                     *(
                         at(scratch),
                         at(points),

@@ -14,6 +14,13 @@
 /* As in kernel.py: a library of another version is refused. */
 #define KERNEL_VERSION 7
 
+/* Pictures are larger than the processor's cache: what will be read next is asked for early. */
+#if defined(__GNUC__)
+#define slabcell_prefetch(address) __builtin_prefetch(address)
+#else
+#define slabcell_prefetch(address) ((void)0)
+#endif
+
 #define TURN 6.283185307179586
 
 /* Columns of the arrays that cross the border to Python. */

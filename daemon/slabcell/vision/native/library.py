@@ -45,7 +45,7 @@ class Functions:
         self.survey = function("survey", *_PICTURE, _INT, *[_POINTER] * 5)
         self.trace = function(
             "trace",
-            *(*_PICTURE, _REAL, _INT, _INT, _REAL),
+            *(*_PICTURE, _REAL, _INT, _INT, _REAL, _INT),
             *(_POINTER, _POINTER, _LONG, *[_POINTER] * 3, _LONG, _POINTER),
             result=_LONG,
         )

@@ -7,6 +7,7 @@
 #define MAX_ROTATIONS 4
 #define REFINEMENTS 3
 #define WINDOW 3
+#define STILL 0.2 /* floors: what moves by less lies still */
 #define FAR 20.0 /* floors: a distance counts no more than this */
 #define EVERY 2 /* of the blob's samples one of two is compared */
 
@@ -155,6 +156,8 @@ static void refine(const double *blob, const double *slot, const double *normals
         peak->x += right[0];
         peak->y += right[1];
         peak->rotation += right[2] / reach;
+        if (step > 0 && fmax(fmax(fabs(right[0]), fabs(right[1])), fabs(right[2])) < STILL * floor)
+            return;
         spread = fmax(2.0 * floor, fmin(spread, 2.0 * sum / fmax(weights, 1e-9)));
     }
 }

@@ -95,29 +95,31 @@ static double measure(double *ring, int64_t count, double *centroid, double *ine
     return fabs(area);
 }
 
-/* `count` points at equal distances along a closed ring, from its first point on. */
-static void resample(const double *ring, int64_t points, int count, double *samples)
+/* `count` points at equal distances along a closed ring, from its first point on.  `along` has room for a number a point. */
+static void resample(const double *ring, int64_t points, int count, double *along, double *samples)
 {
-    double length = 0.0;
-    for (int64_t i = 0; i < points; i++) {
-        const double *a = ring + 2 * i, *b = i + 1 < points ? a + 2 : ring;
-        length += sqrt((b[0] - a[0]) * (b[0] - a[0]) + (b[1] - a[1]) * (b[1] - a[1]));
+    for (int64_t i = 0; i + 1 < points; i++) {
+        const double dx = ring[2 * i + 2] - ring[2 * i], dy = ring[2 * i + 3] - ring[2 * i + 1];
+        along[i] = sqrt(dx * dx + dy * dy);
     }
+    const double dx = ring[0] - ring[2 * points - 2], dy = ring[1] - ring[2 * points - 1];
+    along[points - 1] = sqrt(dx * dx + dy * dy);
+    double length = 0.0;
+    for (int64_t i = 0; i < points; i++)
+        length += along[i];
     double reached = 0.0, passed = 0.0;
     int64_t i = -1;
     const double *a = ring, *b = ring;
-    double size = 0.0;
     for (int k = 0; k < count; k++) {
         const double at = length * ((double)k / count);
         while (reached <= at && i + 1 < points) {
             i++;
             passed = reached;
-            a = ring + 2 * i;
-            b = i + 1 < points ? a + 2 : ring;
-            size = sqrt((b[0] - a[0]) * (b[0] - a[0]) + (b[1] - a[1]) * (b[1] - a[1]));
-            reached += size;
+            reached += along[i];
         }
-        double share = (at - passed) / fmax(size, 1e-12);
+        a = ring + 2 * i;
+        b = i + 1 < points ? a + 2 : ring;
+        double share = (at - passed) / fmax(along[i], 1e-12);
         share = share < 0.0 ? 0.0 : share > 1.0 ? 1.0 : share;
         samples[2 * k] = a[0] + share * (b[0] - a[0]);
         samples[2 * k + 1] = a[1] + share * (b[1] - a[1]);
@@ -145,7 +147,7 @@ void slabcell_describe(const double *grid, int rows, int columns, double pitch, 
         if (grid)
             slabcell_to_plane(grid, rows, columns, pitch, size, taken, scratch);
         areas[r] = measure(scratch, size, centroids + 2 * r, inertias + r);
-        resample(scratch, size, count, mine);
+        resample(scratch, size, count, scratch + 2 * size, mine);
         double x = 0.0, y = 0.0;
         for (int k = 0; k < count; k++) {
             x += mine[2 * k];

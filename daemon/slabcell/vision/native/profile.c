@@ -91,6 +91,38 @@ static int solve(int n, double a[COLUMNS][COLUMNS], double b[COLUMNS], int inver
     return 1;
 }
 
+/* One row of the normal equations: what column `p` gives with itself and those before it, and with the levels.  Written
+ * out for each `p`, so that all sums of a row run side by side. */
+static inline __attribute__((always_inline)) void product_row(const int p, int n, const double *const *column,
+                                                              const double *weight, const double *level,
+                                                              double normal[COLUMNS][COLUMNS], double *right)
+{
+    double sums[COLUMNS] = {0}, with_level = 0.0;
+    for (int i = 0; i < n; i++) {
+        const double weighted = weight[i] * column[p][i];
+        with_level += weighted * level[i];
+        for (int q = 0; q <= p; q++)
+            sums[q] += weighted * column[q][i];
+    }
+    for (int q = 0; q <= p; q++)
+        normal[p][q] = sums[q];
+    right[p] = with_level;
+}
+
+static void products(int n, int columns, const double *const *column, const double *weight, const double *level,
+                     double normal[COLUMNS][COLUMNS], double *right)
+{
+    product_row(0, n, column, weight, level, normal, right);
+    product_row(1, n, column, weight, level, normal, right);
+    product_row(2, n, column, weight, level, normal, right);
+    product_row(3, n, column, weight, level, normal, right);
+    product_row(4, n, column, weight, level, normal, right);
+    if (columns > 5)
+        product_row(5, n, column, weight, level, normal, right);
+    if (columns > 6)
+        product_row(6, n, column, weight, level, normal, right);
+}
+
 /* The mean level at one end of the profile, whose bins are sorted by depth. */
 static double mean_beyond(int n, const double *count, const double *depth, const double *level, double limit, int below)
 {
@@ -196,23 +228,12 @@ static void fit(int filled, double *restrict count, double *restrict depth, doub
             }
         }
         double normal[COLUMNS][COLUMNS], right[COLUMNS];
-        for (int p = 0; p < columns; p++) {
-            const double *mine = column[used[p]];
-            double weighted[MAX_BINS], sum = 0.0;
-            for (int i = 0; i < n; i++) {
-                weighted[i] = weight[i] * mine[i];
-                sum += weighted[i] * level[i];
-            }
-            right[p] = sum;
-            for (int q = 0; q <= p; q++) {
-                const double *other = column[used[q]];
-                double product = 0.0;
-                for (int i = 0; i < n; i++)
-                    product += weighted[i] * other[i];
-                normal[p][q] = product;
-            }
+        const double *in_use[COLUMNS];
+        for (int p = 0; p < columns; p++)
+            in_use[p] = column[used[p]];
+        products(n, columns, in_use, weight, level, normal, right);
+        for (int p = 0; p < columns; p++)
             normal[p][p] += 1e-6;
-        }
         /* A flat profile says nothing about the step: hold it. */
         normal[at_step][at_step] += 1e-3 / model->noise;
         if (blurred)

@@ -87,10 +87,29 @@ static void NAME(measure_one)(const PIXEL *image, ptrdiff_t stride, int width, i
         fit(filled, count, depths, levels, wall, fmin(fmax(lit, 0.0), 1.5), model, table, result);
 }
 
+/* Asks for the pixels around a piece of edge. */
+static void NAME(prefetch)(const PIXEL *image, ptrdiff_t stride, int width, int height, const double *line, double reach)
+{
+    const double half = line[LINE_HALF], nu = fabs(line[LINE_NORMAL_U]), nv = fabs(line[LINE_NORMAL_V]);
+    const double outer = fmin(line[LINE_WALL], WIDE_WALL_PX) + reach;
+    const double wide = half * nv + outer * nu, high = half * nu + outer * nv, u = line[LINE_U], v = line[LINE_V];
+    if (!(wide < 1e3) || !(high < 1e3) || !(u > -1e3) || !(u < 1e6) || !(v > -1e3) || !(v < 1e6))
+        return;
+    const int left = u > wide ? (int)(u - wide) : 0, top = v > high ? (int)(v - high) : 0;
+    const int right = u + wide < width - 1 ? (int)(u + wide) : width - 1;
+    const int bottom = v + high < height - 1 ? (int)(v + high) : height - 1;
+    for (int row = top; row <= bottom; row++)
+        for (int column = left; column <= right; column += 64 / (int)sizeof(PIXEL))
+            slabcell_prefetch(image + row * stride + column);
+}
+
 void NAME(slabcell_measure_edges)(const PIXEL *image, ptrdiff_t stride, int width, int height, int pieces,
                                   const double *lines, const Model *model, const double *table, double *results)
 {
-    for (int i = 0; i < pieces; i++)
+    for (int i = 0; i < pieces; i++) {
+        if (i + 1 < pieces)
+            NAME(prefetch)(image, stride, width, height, lines + LINE_FIELDS * (i + (ptrdiff_t)1), model->reach);
         NAME(measure_one)(image, stride, width, height, lines + LINE_FIELDS * (ptrdiff_t)i, model, table,
                           results + RESULT_FIELDS * (ptrdiff_t)i);
+    }
 }
