@@ -19,10 +19,14 @@ enum { IN, OUT, ON_WALL, STEP, SLOPE_IN, SLOPE_OUT, WIDTH };
 #define BESIDE 2.0
 
 /* Places among the bins are fixed point numbers; a bin counts up to 2^COUNT_BITS pixels. */
-#define FIXED_BITS 32
-#define FIXED 4294967296.0
+#define FIXED_BITS 22
+#define FIXED 4194304.0
 #define COUNT_BITS 10
 #define MAX_HALF_PX 250.0
+#define MAX_LINES 640
+#define FAR 1e9
+#define TWO_52 4503599627370496.0
+#define MANTISSA ((uint64_t)0x433 << 52)
 
 /* Density and integral of the normal distribution at n places, n a multiple of LANES.  In loops of their own, each of
  * which the compiler turns into vector instructions where there are any. */
@@ -153,8 +157,9 @@ static double starting_shift(int n, const double *count, const double *depth, co
     return fmin(fmax(share * (deepest + reach) - reach - wall_light, 3.0 - reach), reach - 3.0);
 }
 
-/* Fits the model to one profile of `filled` bins that hold pixels; the arrays have room up to a multiple of LANES. */
-static void fit(int filled, double *restrict count, double *restrict depth, double *restrict level, double wall,
+/* Fits the model to one profile of so many bins, `filled` of which hold pixels, the first and the last among them; the
+ * arrays have room up to a multiple of LANES. */
+static void fit(int bins, double filled, double *restrict count, double *restrict depth, double *restrict level, double wall,
                 double wall_ratio, const Model *restrict model, const double *restrict table, double *restrict result)
 {
     const double reach = model->reach;
@@ -164,8 +169,8 @@ static void fit(int filled, double *restrict count, double *restrict depth, doub
     double column[COLUMNS][MAX_BINS], weight[MAX_BINS], error[MAX_BINS], place[MAX_BINS], bell[MAX_BINS];
     double s = model->sigma, pixels = 0.0;
 
-    double inside = mean_beyond(filled, count, depth, level, reach - 2.0, 0);
-    double outside = mean_beyond(filled, count, depth, level, -(outer - 2.0), 1);
+    double inside = mean_beyond(bins, count, depth, level, reach - 2.0, 0);
+    double outside = mean_beyond(bins, count, depth, level, -(outer - 2.0), 1);
     double grey_of_wall = wall_ratio * inside;
     double step = 0.0;
     if (!(model->near > 0.5)) {
@@ -173,13 +178,13 @@ static void fit(int filled, double *restrict count, double *restrict depth, doub
         if (fabs(contrast) < 1.0)
             contrast = 1.0;
         const double lit = strip * fmin(fmax((grey_of_wall - outside) / contrast, 0.0), 1.0);
-        step = starting_shift(filled, count, depth, level, inside, outside, lit, reach);
+        step = starting_shift(bins, count, depth, level, inside, outside, lit, reach);
     }
     /* Empty bins fill up the last vector. */
-    const int n = (filled + LANES - 1) / LANES * LANES;
-    for (int i = filled; i < n; i++) {
+    const int n = (bins + LANES - 1) / LANES * LANES;
+    for (int i = bins; i < n; i++) {
         count[i] = level[i] = 0.0;
-        depth[i] = depth[filled - 1];
+        depth[i] = depth[bins - 1];
     }
     for (int i = 0; i < n; i++)
         pixels += count[i];
@@ -273,14 +278,14 @@ static void fit(int filled, double *restrict count, double *restrict depth, doub
         if (fabs(change) < CONVERGED_PX && fabs(wider) < CONVERGED_BLUR)
             break;
     }
-    double sums[2] = {0}, bins[2] = {0};
-    for (int i = 0; i < filled; i++) {
-        const double away = depth[i] + step;
-        const int side = away > 0.0 ? 0 : 1;
-        if ((side ? -away - strip : away) > BESIDE * s) {
-            sums[side] += count[i] * error[i] * error[i];
-            bins[side] += 1.0;
-        }
+    double on_slab = 0.0, on_table = 0.0, bins_on_slab = 0.0, bins_on_table = 0.0;
+    for (int i = 0; i < n; i++) {
+        const double away = depth[i] + step, square = count[i] * error[i] * error[i], here = count[i] > 0.0 ? 1.0 : 0.0;
+        const int slab = away > BESIDE * s, beside = -away - strip > BESIDE * s;
+        on_slab += slab ? square : 0.0;
+        bins_on_slab += slab ? here : 0.0;
+        on_table += beside ? square : 0.0;
+        bins_on_table += beside ? here : 0.0;
     }
     const double sigma = sqrt(fmax(spread * fmax(scatter, model->least_scatter), 1e-12));
     const double edge = fabs(inside - (strip > 2.0 * s ? grey_of_wall : outside));
@@ -292,8 +297,8 @@ static void fit(int filled, double *restrict count, double *restrict depth, doub
     result[VALID] = pixels >= 40 && sigma < 0.5 && fabs(step) < reach - 2.0 * s
                     && edge > fmax(4.0, 0.02 * fabs(inside));
     result[SCATTER] = scatter;
-    result[SCATTER_INSIDE] = sums[0] / fmax(bins[0] - 2.0, 1.0);
-    result[SCATTER_OUTSIDE] = sums[1] / fmax(bins[1] - 2.0, 1.0);
+    result[SCATTER_INSIDE] = on_slab / fmax(bins_on_slab - 2.0, 1.0);
+    result[SCATTER_OUTSIDE] = on_table / fmax(bins_on_table - 2.0, 1.0);
     result[BLUR] = s;
 }
 

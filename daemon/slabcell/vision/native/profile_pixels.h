@@ -38,53 +38,81 @@ static void NAME(measure_one)(const PIXEL *image, ptrdiff_t stride, int width, i
     /* A scan line crosses the strip from `low` to `high`, and the piece's length where that is aslant to it. */
     const double per_n = 1.0 / n_minor, side = n_minor > 0.0 ? 1.0 : -1.0;
     const int aslant = fabs(t_minor) > 1e-12;
-    const double per_t = aslant ? 1.0 / t_minor : 0.0, length = aslant ? half * fabs(per_t) : INFINITY;
-    const int64_t bending = (int64_t)(2.0 * bend * t_minor * t_minor * BINS_PER_PX * FIXED);
-    for (int a = first; a <= last; a++) {
-        const double da = a - mid_major, centre = -da * n_major * per_n, middle = -da * t_major * per_t;
-        double low = centre - (side > 0.0 ? reach : outer) * fabs(per_n);
-        double high = centre + (side > 0.0 ? outer : reach) * fabs(per_n);
-        if (aslant) {
-            low = low > middle - length ? low : middle - length;
-            high = high < middle + length ? high : middle + length;
-        } else if (fabs(da * t_major) > half) {
-            continue;
-        }
+    const double per_t = aslant ? 1.0 / t_minor : 0.0, length = aslant ? half * fabs(per_t) : FAR;
+    if (!aslant) {
+        first = first > (int)ceil(mid_major - half) ? first : (int)ceil(mid_major - half);
+        last = last < (int)floor(mid_major + half) ? last : (int)floor(mid_major + half);
+    }
+    const int lines = last - first + 1;
+    if (lines < 1 || lines > MAX_LINES)
+        return;
+    const double before = (side > 0.0 ? reach : outer) * fabs(per_n), beyond = (side > 0.0 ? outer : reach) * fabs(per_n);
+    const double along_n = n_major * per_n, along_t = t_major * per_t, offset = first - mid_major, end_minor = size_minor - 1;
+    int32_t begins[MAX_LINES], ends[MAX_LINES], places[MAX_LINES], steps[MAX_LINES];
+    for (int k = 0; k < lines; k++) {
+        const double da = k + offset, centre = -da * along_n, middle = -da * along_t;
+        double low = centre - before, high = centre + beyond;
+        low = low > middle - length ? low : middle - length;
+        high = high < middle + length ? high : middle + length;
         low = low + mid_minor > 0.0 ? low + mid_minor : 0.0;
-        high = high + mid_minor < size_minor - 1.0 ? high + mid_minor : size_minor - 1.0;
-        if (!(low <= high))
-            continue;
-        const int begin = (int)ceil(low), end = (int)floor(high);
-        const PIXEL *pixel = image + a * next_major + begin * next;
+        high = high + mid_minor < end_minor ? high + mid_minor : end_minor;
+        low = low < size_minor ? low : size_minor;
+        high = high > -1.0 ? high : -1.0;
+        const double begin = ceil(low);
         /* The place is quadratic along the line: two additions of fixed point numbers lead from pixel to pixel. */
         const double db = begin - mid_minor, t = da * t_major + db * t_minor;
-        const double place = (lowest - da * n_major - db * n_minor + bend * t * t) * BINS_PER_PX;
-        const double step = (bend * t_minor * (2.0 * t + t_minor) - n_minor) * BINS_PER_PX;
-        int64_t at = (int64_t)(place * FIXED), change = (int64_t)(step * FIXED);
-        for (int b = begin; b <= end; b++, pixel += next) {
+        double place = (lowest - da * n_major - db * n_minor + bend * t * t) * BINS_PER_PX;
+        place = place > 0.0 ? place : 0.0;
+        place = place < bins ? place : bins;
+        begins[k] = (int32_t)begin;
+        ends[k] = (int32_t)floor(high);
+        places[k] = (int32_t)(place * FIXED);
+        steps[k] = (int32_t)((bend * t_minor * (2.0 * t + t_minor) - n_minor) * BINS_PER_PX * FIXED);
+    }
+    const int32_t bending = (int32_t)(2.0 * bend * t_minor * t_minor * BINS_PER_PX * FIXED);
+    for (int k = 0; k < lines; k++) {
+        const PIXEL *pixel = image + (first + k) * next_major + begins[k] * next;
+        int32_t at = places[k], change = steps[k];
+        for (int b = begins[k]; b <= ends[k]; b++, pixel += next) {
             sums[at >> FIXED_BITS] += 1 + ((uint64_t)*pixel << COUNT_BITS)
                                       + ((uint64_t)(at >> (FIXED_BITS - PLACE_BITS)) << (COUNT_BITS + LEVEL_BITS));
             at += change;
             change += bending;
         }
     }
-    double count[MAX_BINS], depths[MAX_BINS], levels[MAX_BINS];
-    int filled = 0;
-    for (int bin = 0; bin < bins; bin++)
-        if (sums[bin]) {
-            const double number = (double)(int64_t)(sums[bin] & (((uint64_t)1 << COUNT_BITS) - 1));
-            const double level = (double)(int64_t)(sums[bin] >> COUNT_BITS & (((uint64_t)1 << LEVEL_BITS) - 1));
-            /* What was cut off below the last bit is half of it on the average. */
-            const double place = (double)(int64_t)(sums[bin] >> (COUNT_BITS + LEVEL_BITS)) + 0.5 * number;
-            const double share = 1.0 / number;
-            depths[filled] = place * share * (1.0 / BINS_PER_PX / ((int64_t)1 << PLACE_BITS)) - lowest;
-            levels[filled] = level * share;
-            count[filled] = number;
-            filled++;
-        }
+    int low_bin = 0, high_bin = bins - 1;
+    while (low_bin < bins && !sums[low_bin])
+        low_bin++;
+    while (high_bin > low_bin && !sums[high_bin])
+        high_bin--;
+    const int n = high_bin - low_bin + 1;
+    if (n <= COLUMNS)
+        return;
+    /* An integer below 2^52 is a double's mantissa: with the right exponent beside it, 2^52 too much. */
+    union {
+        uint64_t bits[MAX_BINS];
+        double value[MAX_BINS];
+    } numbers, levels, depths;
+    for (int i = 0; i < n; i++) {
+        const uint64_t sum = sums[low_bin + i];
+        numbers.bits[i] = (sum & (((uint64_t)1 << COUNT_BITS) - 1)) | MANTISSA;
+        levels.bits[i] = (sum >> COUNT_BITS & (((uint64_t)1 << LEVEL_BITS) - 1)) | MANTISSA;
+        depths.bits[i] = sum >> (COUNT_BITS + LEVEL_BITS) | MANTISSA;
+    }
+    double filled = 0.0;
+    for (int i = 0; i < n; i++) {
+        const double number = numbers.value[i] - TWO_52, share = 1.0 / (number > 1.0 ? number : 1.0);
+        /* What was cut off below the last bit is half of it on the average.  An empty bin lies in its middle. */
+        const double place = ((depths.value[i] - TWO_52) * share + 0.5) * (1.0 / ((int64_t)1 << PLACE_BITS));
+        const double empty = low_bin + i + 0.5;
+        depths.value[i] = (number > 0.0 ? place : empty) * (1.0 / BINS_PER_PX) - lowest;
+        levels.value[i] = (levels.value[i] - TWO_52) * share;
+        numbers.value[i] = number;
+        filled += number > 0.0 ? 1.0 : 0.0;
+    }
     const double lit = model->wall_ratio + model->wall_light_u * line[LINE_NORMAL_U] + model->wall_light_v * line[LINE_NORMAL_V];
     if (filled > COLUMNS)
-        fit(filled, count, depths, levels, wall, fmin(fmax(lit, 0.0), 1.5), model, table, result);
+        fit(n, filled, numbers.value, depths.value, levels.value, wall, fmin(fmax(lit, 0.0), 1.5), model, table, result);
 }
 
 /* Asks for the pixels around a piece of edge. */
