@@ -23,7 +23,7 @@ SAMPLES = 128
 # Harmonics whose magnitudes are compared first: half of them on either side.
 HARMONICS = 24
 # Points of an outline in pixels that are enough to describe it: of a longer one every second or third is taken.
-ENOUGH = 200
+ENOUGH = 128
 
 
 @dataclass(frozen=True, slots=True, eq=False)

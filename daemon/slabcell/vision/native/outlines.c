@@ -4,6 +4,8 @@
 void slabcell_spectra(int64_t shapes, const double *samples, const double *roots, double *spectra, double *energies,
                       double *magnitudes);
 
+#define MAX_FFT 256
+
 /* Bilinear in a table of the plane: `grid` (rows, columns, 2) holds the mm at every `pitch`-th pixel. */
 void slabcell_to_plane(const double *grid, int rows, int columns, double pitch, int64_t count, const double *pixels,
                        double *mm)
@@ -24,36 +26,42 @@ void slabcell_to_plane(const double *grid, int rows, int columns, double pitch, 
     }
 }
 
-/* Fast Fourier transform of n = 2^k complex numbers in place; `roots` holds exp(-2πi·j/most), most/2 of them. */
+/* Fast Fourier transform of n = 2^k complex numbers in place, n at most MAX_FFT; `roots` holds exp(-2πi·j/most), most/2
+ * of them.  Stockham's order, which needs no bit reversal and reads and writes side by side: C. Van Loan, "Computational
+ * frameworks for the fast Fourier transform", SIAM 1992, section 1.7. */
 void slabcell_fft(double *values, int n, const double *roots, int most, int inverse)
 {
-    for (int i = 1, j = 0; i < n; i++) {
-        int bit = n >> 1;
-        for (; j & bit; bit >>= 1)
-            j ^= bit;
-        j |= bit;
-        if (i < j) {
-            const double re = values[2 * i], im = values[2 * i + 1];
-            values[2 * i] = values[2 * j];
-            values[2 * i + 1] = values[2 * j + 1];
-            values[2 * j] = re;
-            values[2 * j + 1] = im;
-        }
-    }
+    double rooms[4][MAX_FFT], *re = rooms[0], *im = rooms[1], *next_re = rooms[2], *next_im = rooms[3];
     const double sign = inverse ? -1.0 : 1.0;
-    for (int half = 1; half < n; half <<= 1) {
-        const int stride = most / (2 * half);
-        for (int start = 0; start < n; start += 2 * half) {
-            double *low = values + 2 * start, *high = low + 2 * half;
-            for (int k = 0; k < half; k++) {
-                const double c = roots[2 * (k * stride)], s = sign * roots[2 * (k * stride) + 1];
-                const double re = c * high[2 * k] - s * high[2 * k + 1], im = c * high[2 * k + 1] + s * high[2 * k];
-                high[2 * k] = low[2 * k] - re;
-                high[2 * k + 1] = low[2 * k + 1] - im;
-                low[2 * k] += re;
-                low[2 * k + 1] += im;
+    for (int i = 0; i < n; i++) {
+        re[i] = values[2 * i];
+        im[i] = values[2 * i + 1];
+    }
+    for (int groups = n / 2, size = 1; groups >= 1; groups /= 2, size *= 2) {
+        const int stride = most / (2 * groups);
+        for (int p = 0; p < groups; p++) {
+            const double c = roots[2 * (p * stride)], s = sign * roots[2 * (p * stride) + 1];
+            const double *restrict are = re + size * p, *restrict aim = im + size * p;
+            const double *restrict bre = are + size * groups, *restrict bim = aim + size * groups;
+            double *restrict sum_re = next_re + 2 * size * p, *restrict sum_im = next_im + 2 * size * p;
+            double *restrict turned_re = sum_re + size, *restrict turned_im = sum_im + size;
+            for (int q = 0; q < size; q++) {
+                const double dre = are[q] - bre[q], dim = aim[q] - bim[q];
+                sum_re[q] = are[q] + bre[q];
+                sum_im[q] = aim[q] + bim[q];
+                turned_re[q] = c * dre - s * dim;
+                turned_im[q] = c * dim + s * dre;
             }
         }
+        double *const old_re = re, *const old_im = im;
+        re = next_re;
+        im = next_im;
+        next_re = old_re;
+        next_im = old_im;
+    }
+    for (int i = 0; i < n; i++) {
+        values[2 * i] = re[i];
+        values[2 * i + 1] = im[i];
     }
 }
 
