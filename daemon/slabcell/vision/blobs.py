@@ -76,13 +76,14 @@ class Blobs:
     @classmethod
     def of_contours(cls, contours: Contours) -> tuple[Self, int]:
         """Return the blobs of these outlines, largest first, and how many were left out."""
-        order = np.argsort(-contours.area_px, kind="stable")[:MAX_BLOBS]
+        areas, rims, starts = contours.area_px.tolist(), contours.touches_rim.tolist(), contours.starts.tolist()
+        order = sorted(range(len(areas)), key=areas.__getitem__, reverse=True)[:MAX_BLOBS]
         blobs = cls(
             contours.points,
-            contours.starts[order],
-            contours.starts[order + 1],
-            contours.area_px[order].tolist(),
-            contours.touches_rim[order].tolist(),
+            np.array([starts[index] for index in order], np.int64),
+            np.array([starts[index + 1] for index in order], np.int64),
+            [areas[index] for index in order],
+            [rims[index] for index in order],
         )
         return blobs, contours.left_out + len(contours) - len(blobs)
 

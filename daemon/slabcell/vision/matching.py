@@ -193,14 +193,9 @@ def assign(cost: npt.NDArray[np.float64]) -> list[tuple[int, int]]:
 
     Infinite entries are never used.
     """
-    if cost.size == 0:
-        return []
-    # Where no two rows want the same column each may have the one that it wants.
-    wanted, rows = cost.argmin(axis=1).tolist(), np.isfinite(cost.min(axis=1)).tolist()
-    pairs = [(row, column) for row, (column, usable) in enumerate(zip(wanted, rows, strict=True)) if usable]
-    if len({column for _, column in pairs}) == len(pairs):
-        return pairs
     finite = np.isfinite(cost)
+    if not np.any(finite):
+        return []
     # A pair that must not be is dearer than every allowed pair together, so as few of them as possible are used.
     forbidden = 1.0 + float(cost[finite].max()) * (min(cost.shape) + 1)
     best = linear_sum_assignment(np.where(finite, cost, forbidden))

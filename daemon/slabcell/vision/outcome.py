@@ -148,16 +148,26 @@ class Outcome:
 
     def _assigned(self, best: Mapping[tuple[int, int], Registration]) -> dict[int, int]:
         """Return the slot of each blob that gets one, of those that are free, such that all together fit best."""
-        cost = np.full((len(self._areas), len(self._prepared.slots)), np.inf)
-        for (blob, slot), registration in best.items():
+        cost: dict[tuple[int, int], float] = {}
+        wanted: dict[int, tuple[float, int]] = {}
+        for key, registration in best.items():
+            blob, slot = key
             if slot not in self._free:
                 continue
             if self._distance is not None and blob < len(self._distance):
-                cost[blob, slot] = self._distance[blob, slot]
+                cost[key] = float(self._distance[key])
             else:
                 # Squares, because their sum says how likely all of it together is.
-                cost[blob, slot] = registration.evidence_mm**2
-        return dict(assign(cost))
+                cost[key] = registration.evidence_mm**2
+            if blob not in wanted or cost[key] < wanted[blob][0]:
+                wanted[blob] = (cost[key], slot)
+        # Where no two blobs want the same slot each may have the one that it fits best.
+        if len({slot for _, slot in wanted.values()}) == len(wanted):
+            return {blob: slot for blob, (_, slot) in wanted.items()}
+        table = np.full((len(self._areas), len(self._prepared.slots)), np.inf)
+        for key, value in cost.items():
+            table[key] = value
+        return dict(assign(table))
 
     def _doubts(self, accepted: list[Registration], assigned: dict[int, int]) -> dict[int, str]:
         """Return for each blob of which another slot or rotation explains as much why it is refused."""
