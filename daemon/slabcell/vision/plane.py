@@ -57,13 +57,14 @@ class PixelTable:
 class ForwardTable:
     """``pixels`` (rows, columns, 4): where points of the plane, and of the work plane below them, are seen.
 
-    The first is at ``x_mm``, ``y_mm``; they lie ``pitch_mm`` apart.
+    The first is at ``x_mm``, ``y_mm``; they lie ``pitch_mm`` apart.  ``flat``: both planes are one.
     """
 
     pixels: Points
     x_mm: float
     y_mm: float
     pitch_mm: float
+    flat: bool
 
     def holds(self, points: Points, around_mm: npt.NDArray[np.float64] | float) -> bool:
         """Return whether it reaches so far around each of these points (n, 2)."""
@@ -126,7 +127,7 @@ class PlaneView:
         exact = self.to_pixels(low + pitch * (visible[:, ::-1] + 0.5))
         if float(np.abs(between[:, :2] - exact).max()) > FORWARD_PX:
             return None
-        return ForwardTable(np.ascontiguousarray(pixels), float(low[0]), float(low[1]), pitch)
+        return ForwardTable(np.ascontiguousarray(pixels), float(low[0]), float(low[1]), pitch, self.height_mm == 0.0)
 
     @cached_property
     def usable(self) -> npt.NDArray[np.bool_] | None:

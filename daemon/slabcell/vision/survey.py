@@ -18,6 +18,8 @@ Counts = npt.NDArray[np.int64]
 # Every fourth pixel of every fourth row is looked at, or every eighth of a large picture.
 STEPS = (4, 8)
 LARGE = 1 << 20
+# Of the rows that are looked at one of so many is searched for steep edges.
+SEARCHED = 4
 # Of the rows that were searched, those with the sharpest edges.
 STEEPEST = 4
 
@@ -54,7 +56,7 @@ def survey(picture: Picture) -> Survey:
     rows = sample[::step].astype(np.int16)
     difference = np.bincount(np.abs(rows[:, 1:] - rows[:, :-1]).reshape(-1), minlength=256).astype(np.int64)
     steepest: list[int] = []
-    for v in range(0, height, 2 * step):
+    for v in range(0, height, SEARCHED * step):
         row = picture[v].astype(np.int16)
         steepest.append(int(np.abs(row[2:] - row[:-2]).max()) if width > 2 else 0)
         across = 0 < v < height - 1

@@ -59,6 +59,7 @@ typedef struct {
     const double *grid;
     int rows, columns;
     double x0, y0, pitch;
+    int flat; /* the upper plane is the work plane */
 } Forward;
 
 int slabcell_to_pixels(const Forward *table, int64_t count, const double *points, double *pixels);

@@ -20,7 +20,7 @@ static inline int holds(const Forward *t, double x, double y, double size)
 }
 
 /* The pixels of top and foot of a point of the table, from the 16 samples around it. */
-static inline void seen_at(const Forward *t, double x, double y, double sum[4])
+static inline void seen_at(const Forward *t, double x, double y, const int channels, double *sum)
 {
     const double a = (x - t->x0) / t->pitch, b = (y - t->y0) / t->pitch, fa = floor(a), fb = floor(b);
     const int column = !(fa >= 1.0) ? 1 : fa > t->columns - 3 ? t->columns - 3 : (int)fa;
@@ -28,11 +28,11 @@ static inline void seen_at(const Forward *t, double x, double y, double sum[4])
     double wa[4], wb[4];
     cubic(a - column, wa);
     cubic(b - row, wb);
-    for (int k = 0; k < 4; k++)
+    for (int k = 0; k < channels; k++)
         sum[k] = 0.0;
     for (int j = 0; j < 4; j++) {
         const double *line = t->grid + 4 * ((ptrdiff_t)(row - 1 + j) * t->columns + column - 1);
-        for (int k = 0; k < 4; k++)
+        for (int k = 0; k < channels; k++)
             sum[k] += wb[j] * (wa[0] * line[k] + wa[1] * line[4 + k] + wa[2] * line[8 + k] + wa[3] * line[12 + k]);
     }
 }
@@ -41,10 +41,10 @@ static inline void seen_at(const Forward *t, double x, double y, double sum[4])
 int slabcell_to_pixels(const Forward *table, int64_t count, const double *points, double *pixels)
 {
     for (int64_t i = 0; i < count; i++) {
-        double sum[4];
+        double sum[2];
         if (!holds(table, points[2 * i], points[2 * i + 1], 0.0))
             return 0;
-        seen_at(table, points[2 * i], points[2 * i + 1], sum);
+        seen_at(table, points[2 * i], points[2 * i + 1], 2, sum);
         pixels[2 * i] = sum[0];
         pixels[2 * i + 1] = sum[1];
     }
@@ -61,20 +61,24 @@ int slabcell_local_maps(const Forward *table, int count, const double *nodes, co
         const double size = sizes[p], x = centres[2 * p], y = centres[2 * p + 1];
         if (!holds(table, x, y, size))
             return 0;
-        for (int n = 0; n < count; n++)
-            seen_at(table, x + size * nodes[2 * n], y + size * nodes[2 * n + 1], seen[n]);
-        map[0] = x;
-        map[1] = y;
-        map[2] = size;
+        for (int n = 0; n < count; n++) {
+            if (table->flat)
+                seen_at(table, x + size * nodes[2 * n], y + size * nodes[2 * n + 1], 2, seen[n]);
+            else
+                seen_at(table, x + size * nodes[2 * n], y + size * nodes[2 * n + 1], 4, seen[n]);
+        }
+        map[MAP_X] = x;
+        map[MAP_Y] = y;
+        map[MAP_SIZE] = size;
         for (int t = 0; t < TERMS; t++) {
             double sum[4] = {0};
             for (int n = 0; n < count; n++)
-                for (int k = 0; k < 4; k++)
+                for (int k = 0; k < (table->flat ? 2 : 4); k++)
                     sum[k] += inverse[t * count + n] * seen[n][k];
-            map[3 + 2 * t] = sum[0];
-            map[4 + 2 * t] = sum[1];
-            map[3 + 2 * TERMS + 2 * t] = sum[2];
-            map[4 + 2 * TERMS + 2 * t] = sum[3];
+            map[MAP_TOP + 2 * t] = sum[0];
+            map[MAP_TOP + 2 * t + 1] = sum[1];
+            map[MAP_FOOT + 2 * t] = table->flat ? sum[0] : sum[2];
+            map[MAP_FOOT + 2 * t + 1] = table->flat ? sum[1] : sum[3];
         }
     }
     return 1;

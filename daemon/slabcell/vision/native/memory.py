@@ -62,6 +62,7 @@ class Forward(ctypes.Structure):
         ("x0", ctypes.c_double),
         ("y0", ctypes.c_double),
         ("pitch", ctypes.c_double),
+        ("flat", ctypes.c_int),
     ]
 
 
@@ -85,7 +86,7 @@ KEPT: Final = 16
 def of_forward(table: ForwardTable) -> Held:
     """Return the kernel's structure of a table."""
     rows, columns, _ = table.pixels.shape
-    made = Forward(at(table.pixels), rows, columns, table.x_mm, table.y_mm, table.pitch_mm)
+    made = Forward(at(table.pixels), rows, columns, table.x_mm, table.y_mm, table.pitch_mm, int(table.flat))
     return Held((ctypes.addressof(made),), (made, table))
 
 

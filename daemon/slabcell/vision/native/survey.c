@@ -18,6 +18,7 @@ static inline int apart(int a, int b) { return a > b ? a - b : b - a; }
 
 enum { NOISE, SHARPEST, LIGHTEST, SPLIT, SPLIT_LEVEL, SPLIT_DARK, SPLIT_LIGHT, SPLIT_VALLEY };
 #define RIM_STEP 4
+#define SEARCHED 4 /* of the rows looked at, one of so many is searched for steep edges */
 #define STEEPEST 4
 
 /* The best split of a histogram in two populations, on a scale `values`; thresholds.py is the reference.  `found`:
@@ -85,7 +86,7 @@ static double noise_of(const uint32_t *differences)
 /* Counts over the levels: `grey` of every step-th pixel of every step-th row, `rim` of every RIM_STEP-th of the outermost
  * pixels.  `found`: the noise, from how much neighbours differ; the greatest difference over two pixels along or across
  * those rows in which it is greatest; the level that 0.5 % of the pixels exceed; and the split of the histogram on the
- * scale `values`.  `steepest` has room for two bytes of every 2*step-th row. */
+ * scale `values`.  `steepest` has room for two bytes of every SEARCHED*step-th row. */
 void slabcell_survey(const uint8_t *image, ptrdiff_t stride, int width, int height, int step, const double *values,
                      uint8_t *steepest, int64_t *grey, int64_t *rim, double *found)
 {
@@ -106,7 +107,7 @@ void slabcell_survey(const uint8_t *image, ptrdiff_t stride, int width, int heig
         total += grey[i];
     }
     int rows = 0;
-    for (int v = 0; v < height; v += 2 * step) {
+    for (int v = 0; v < height; v += SEARCHED * step) {
         const uint8_t *row = image + v * stride, *above = row - stride, *below = row + stride;
         uint8_t most = 0;
         for (int u = 0; u + 2 < width; u++) {
