@@ -5,7 +5,7 @@ Angles count counter-clockwise seen from above, in a right-handed frame with Z u
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -22,8 +22,7 @@ def normalize_deg(angle_deg: float) -> float:
     return -((-angle_deg + 180.0) % 360.0 - 180.0)
 
 
-@dataclass(frozen=True, slots=True)
-class PlanarPose:
+class PlanarPose(NamedTuple):
     """Where something lies in a plane: position in mm and the direction of its X axis in degrees."""
 
     x_mm: float
@@ -31,8 +30,7 @@ class PlanarPose:
     a_deg: float
 
 
-@dataclass(frozen=True, slots=True)
-class RigidTransform2D:
+class RigidTransform2D(NamedTuple):
     """A rotation about the origin followed by a translation: p' = R·p + t."""
 
     rotation_deg: float

@@ -8,7 +8,7 @@ hinder a tool that touches their upper faces, and everything else that may stand
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
 
@@ -88,7 +88,7 @@ class Planner:
         ``correction_mm`` is added to every place in x and y of the assembly.
         """
         if correction_mm != (0.0, 0.0):
-            parts = [replace(part, place=_shifted(part.place, correction_mm)) for part in parts]
+            parts = [part._replace(place=_shifted(part.place, correction_mm)) for part in parts]
         refused: list[Refusal] = []
         possible: dict[int, LocatedPart] = {}
         for part in sorted(parts, key=lambda item: item.slot):

@@ -8,7 +8,7 @@ same outline are no doubt, and neither are rotations that look alike: they come 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -25,8 +25,7 @@ SAME_TURN_DEG: Final = 3.0
 SHARE_OF_RESIDUAL: Final = 0.5
 
 
-@dataclass(frozen=True, slots=True)
-class Explanation:
+class Explanation(NamedTuple):
     """A blob as the slab of a slot, turned by ``rotation_deg``; ``evidence_mm``: RMS distance to what is seen."""
 
     blob: int

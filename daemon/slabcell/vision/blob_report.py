@@ -48,7 +48,7 @@ class BlobReport:
         """
         order = order_of(self.features, self.parameters)
         place: dict[int | None, int] = {old: new for new, old in enumerate(order)}
-        new_parts = [replace(part, blob=place.get(part.blob)) for part in parts]
+        new_parts = [part._replace(blob=place.get(part.blob)) for part in parts]
         new_rejected = [replace(blob, blob=place.get(blob.blob)) for blob in rejected]
         if self.parameters.sort_by is not None:
             new_parts = [new_parts[index] for index in order_of([self._of(part) for part in parts], self.parameters)]

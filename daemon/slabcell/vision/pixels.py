@@ -10,13 +10,16 @@ from slabcell.errors import ImageError
 
 __all__ = ["Grey", "as_8_bit", "as_grey"]
 
+# What a pixel may be; 16 bits in the order of this machine.
+DEPTHS = tuple(np.dtype(depth).str for depth in (np.uint8, np.uint16))
+
 Grey = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 """A grey picture, shape (h, w), contiguous."""
 
 
 def as_grey(image: npt.NDArray[Any]) -> Grey:
     """Return the picture in grey, same depth.  Raises ImageError on a shape or type that no picture has."""
-    if image.dtype not in (np.uint8, np.uint16):
+    if image.dtype.str not in DEPTHS:
         msg = f"a picture holds uint8 or uint16, not {image.dtype}"
         raise ImageError(msg)
     if image.size == 0 or image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] not in (1, 3)):

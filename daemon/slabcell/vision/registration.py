@@ -126,7 +126,10 @@ def register(
 def registrations_of(candidates: Sequence[Candidate], rows: Floats) -> list[Registration]:
     """Return the candidates as they were found: ``rows`` (n, 16) hold rotation (rad), x, y, and what follows them."""
     return [
-        Registration(candidate, *row[:7], row[7:]) for candidate, row in zip(candidates, rows.tolist(), strict=True)
+        Registration(candidate, turn, x, y, kerf, residual, coverage, evidence, covariance)
+        for candidate, (turn, x, y, kerf, residual, coverage, evidence, *covariance) in zip(
+            candidates, rows.tolist(), strict=True
+        )
     ]
 
 

@@ -45,8 +45,7 @@ class Sigma(NamedTuple):
     a_deg: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LocatedPart:
+class LocatedPart(NamedTuple):
     """One slab that was found, and the slot it fills.
 
     ``table_to_assembly`` lays it there: assembly = R·table + t.  ``pick`` and ``place`` are the same physical point,
@@ -55,7 +54,8 @@ class LocatedPart:
     be turned to fit: then ``place.a_deg`` is that turn.  ``symmetry_order`` says how many rotations of the part look
     alike.  ``outline_px`` is the outline in the picture, shape (n, 2), for overlays.  ``kerf_mm`` is how far the slab's
     edge lies outside of the drawn one, all around; ``coverage`` the share of the outline that is where it should be.
-    ``blob`` is its index in the result's ``blobs``; a slab that was taken out of several that touch has none.
+    ``blob`` is its index in the result's ``blobs``; a slab that was taken out of several that touch has none.  A tuple,
+    because many are made for each picture.
     """
 
     slot: int

@@ -19,7 +19,7 @@ Counts = npt.NDArray[np.int64]
 STEPS = (4, 8)
 LARGE = 1 << 20
 # Of the rows that are looked at one of so many is searched for steep edges.
-SEARCHED = 4
+SEARCHED = 2
 # Of the rows that were searched, those with the sharpest edges.
 STEEPEST = 4
 

@@ -42,7 +42,8 @@ def at(array: npt.NDArray[Any]) -> int:
     """Return where an array's memory begins."""
     try:
         # The quickest way, which arrays that are empty or may not be written refuse.
-        return ctypes.addressof(ctypes.c_char.from_buffer(array))
+        buffer: Any = array
+        return ctypes.addressof(ctypes.c_char.from_buffer(buffer))
     except (TypeError, ValueError):
         return array.__array_interface__["data"][0]
 

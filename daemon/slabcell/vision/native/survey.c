@@ -18,7 +18,7 @@ static inline int apart(int a, int b) { return a > b ? a - b : b - a; }
 
 enum { NOISE, SHARPEST, LIGHTEST, SPLIT, SPLIT_LEVEL, SPLIT_DARK, SPLIT_LIGHT, SPLIT_VALLEY };
 #define RIM_STEP 4
-#define SEARCHED 4 /* of the rows looked at, one of so many is searched for steep edges */
+#define SEARCHED 2 /* of the rows looked at, one of so many is searched for steep edges */
 #define STEEPEST 4
 
 /* The best split of a histogram in two populations, on a scale `values`; thresholds.py is the reference.  `found`:
