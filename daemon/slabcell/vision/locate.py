@@ -66,7 +66,7 @@ class Locator(Prepared):
         *,
         area_mm: Polygon | None = None,
         free_slots: Collection[int] | None = None,
-        watch: Callable[[Segmentation, list[RawBlob]], None] | None = None,
+        watch: Callable[[Segmentation, Blobs], None] | None = None,
     ) -> LocateResult:
         """Return what `locate` returns; ``watch`` is shown segmentation and blobs before anything is matched."""
         clock = _Clock()

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from slabcell.errors import ImageError
 from slabcell.geometry import Points, Polygon
-from slabcell.vision.blobs import RawBlob
+from slabcell.vision.blobs import Blobs, RawBlob
 from slabcell.vision.edge_projection import Outlines, Poses
 from slabcell.vision.kernel import engine
 from slabcell.vision.local_map import MARGIN_PX
@@ -68,18 +68,18 @@ def trace(
     A picture that the gates refuse is a trace with a refusal.  Raises CalibrationError for a picture of another size
     than the calibration's.
     """
-    seen: list[tuple[Segmentation, list[RawBlob]]] = []
+    seen: list[tuple[Segmentation, Blobs]] = []
     result: LocateResult | None = None
     refusal = ""
 
-    def watch(segmentation: Segmentation, blobs: list[RawBlob]) -> None:
+    def watch(segmentation: Segmentation, blobs: Blobs) -> None:
         seen.append((segmentation, blobs))
 
     try:
         result = locator.locate(image, area_mm=area_mm, free_slots=free_slots, watch=watch)
     except ImageError as error:
         refusal = str(error)
-    segmentation, blobs = seen[-1] if seen else (None, [])
+    segmentation, blobs = seen[-1] if seen else (None, ())
     parts = result.parts if result is not None else ()
     return Trace(
         result,
