@@ -6,6 +6,7 @@ Unknown keys are errors that name the file, the key and the nearest known one.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -26,6 +27,7 @@ __all__ = [
     "Mark",
     "MatchingParameters",
     "MorphologyStep",
+    "OtherThickness",
     "PromptableParameters",
     "Recipe",
     "RecipeFile",
@@ -35,11 +37,24 @@ __all__ = [
 ]
 
 
+Thickness = Annotated[float, Field(ge=0, le=500)]
+
+
+class OtherThickness(TomlTable):
+    """``[[template.other_thickness]]``: slots whose slabs have another thickness than the rest."""
+
+    slots: list[Annotated[int, Field(ge=0)]] = Field(min_length=1, max_length=5000, description="numbers of the slots")
+    thickness_mm: Thickness = Field(description="thickness of their slabs in mm")
+
+
 class TemplateReference(TomlTable):
     """``[template]``: the polygons to be laid."""
 
     file: str = Field(description="CSV file of the template, relative to the recipe")
-    thickness_mm: Annotated[float, Field(ge=0, le=500)] = Field(description="thickness of the slabs in mm")
+    thickness_mm: Thickness = Field(description="thickness of the slabs in mm")
+    other_thickness: list[OtherThickness] = Field(
+        default_factory=list[OtherThickness], max_length=20, description="slots whose slabs are thicker or thinner"
+    )
 
 
 Point = tuple[float, float]
@@ -355,6 +370,12 @@ class Recipe:
     grasp: GraspParameters
     gates: GateParameters = field(default_factory=GateParameters)
     blobs: BlobParameters = field(default_factory=BlobParameters)
+    other_thickness_mm: Mapping[int, float] = field(default_factory=dict[int, float])
+    """Of the slots whose slabs are not ``thickness_mm`` thick."""
+
+    def height_mm(self, slot: int) -> float:
+        """Return the thickness of the slab of a slot, which is how high its upper face lies."""
+        return self.other_thickness_mm.get(slot, self.thickness_mm)
 
     @classmethod
     def from_template(cls, template: Template, thickness_mm: float) -> Recipe:
@@ -382,7 +403,10 @@ def load_recipe(path: Path) -> Recipe:
 
 
 def make_recipe(name: str, written: RecipeFile, template: Template, folder: Path) -> Recipe:
-    """Return the recipe that was written so; ``folder`` is what files of models are named relative to."""
+    """Return the recipe that was written so; ``folder`` is what files of models are named relative to.
+
+    Raises RecipeError for a slot that the template does not have.
+    """
     segmentation = written.segmentation
     if segmentation.promptable is not None:
         model = segmentation.promptable
@@ -400,4 +424,19 @@ def make_recipe(name: str, written: RecipeFile, template: Template, folder: Path
         written.grasp,
         written.gates,
         written.blobs,
+        _other_thickness(written.template, template),
     )
+
+
+def _other_thickness(reference: TemplateReference, template: Template) -> dict[int, float]:
+    found: dict[int, float] = {}
+    for item in reference.other_thickness:
+        for slot in item.slots:
+            if slot >= len(template.slots):
+                msg = f"template.other_thickness: slot {slot} is none of the template's, 0 to {len(template.slots) - 1}"
+                raise RecipeError(msg)
+            if slot in found:
+                msg = f"template.other_thickness: slot {slot} is named twice"
+                raise RecipeError(msg)
+            found[slot] = item.thickness_mm
+    return {slot: height for slot, height in found.items() if height != reference.thickness_mm}

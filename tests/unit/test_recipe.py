@@ -32,6 +32,15 @@ def test_template_and_thickness_are_a_whole_recipe(folder: Path) -> None:
     assert recipe.segmentation.method == "auto"
 
 
+def test_slots_may_have_another_thickness(folder: Path) -> None:
+    more = "[[template.other_thickness]]\nslots = [0]\nthickness_mm = 15.0\n"
+    recipe = load_recipe(write(folder, SMALLEST + more))
+    assert (recipe.thickness_mm, recipe.height_mm(0)) == (10.0, 15.0)
+    for slots, words in (("[3]", "slot 3 is none of the template's"), ("[0, 0]", "slot 0 is named twice")):
+        with pytest.raises(RecipeError, match=words):
+            load_recipe(write(folder, SMALLEST + more.replace("[0]", slots)))
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

@@ -54,6 +54,7 @@ def recipe_document(recipe: Recipe) -> dict[str, object]:
         "schema": "slabcell.recipe/1",
         "name": recipe.name,
         "thickness_mm": recipe.thickness_mm,
+        "other_thickness_mm": {str(slot): height for slot, height in recipe.other_thickness_mm.items()},
         "template": {
             "name": recipe.template.name,
             "sha256": recipe.template.sha256,

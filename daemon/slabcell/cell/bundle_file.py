@@ -177,8 +177,15 @@ def recipe_from_document(document: dict[str, object]) -> Recipe:
         matching=MatchingParameters.model_validate(document["matching"]),
         grasp=GraspParameters.model_validate(document["grasp"]),
         gates=GateParameters.model_validate(document["gates"]),
-        blobs=BlobParameters.model_validate(document.get("blobs", {})),  # older bundles are of a time without them
+        # Older bundles are of a time without these.
+        blobs=BlobParameters.model_validate(document.get("blobs", {})),
+        other_thickness_mm=_other_thickness(document.get("other_thickness_mm", {})),
     )
+
+
+def _other_thickness(document: object) -> dict[int, float]:
+    slots = cast("dict[str, object]", document)
+    return dict(zip(map(int, slots), _numbers(list(slots.values())), strict=True))
 
 
 def _cell(document: dict[str, object]) -> tuple[CellSettings, ArmModel]:

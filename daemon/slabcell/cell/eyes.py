@@ -13,8 +13,7 @@ from slabcell.calibration.model import Calibration
 from slabcell.cell.records import PlacementRecord
 from slabcell.geometry import Polygon, RigidTransform2D
 from slabcell.recipe import Recipe
-from slabcell.vision import Locator
-from slabcell.vision.placement import measure_slots
+from slabcell.vision.layers import LayeredLocator
 from slabcell.vision.result import LocateResult
 
 __all__ = ["Eyes", "HouseEyes", "Picture"]
@@ -41,8 +40,8 @@ class HouseEyes:
 
     def __init__(self, calibration: Calibration, recipe: Recipe) -> None:
         """Open the recipe's promptable model, if it names one; raises ModelError now, not at the first cycle."""
-        self._locator = Locator(calibration, recipe)
-        _ = self._locator.segmenter
+        self._locator = LayeredLocator(calibration, recipe)
+        self._locator.open_model()
 
     def locate(self, image: Picture, *, area_mm: Polygon, free_slots: Collection[int]) -> LocateResult:
         """Return what lies in an area of the table and fits the free slots."""
@@ -52,7 +51,7 @@ class HouseEyes:
         self, image: Picture, *, assembly_in_table: RigidTransform2D, slots: Collection[int]
     ) -> tuple[PlacementRecord, ...]:
         """Return how the slabs lie in these slots, in the order of the slots."""
-        placements = measure_slots(self._locator, image, assembly_in_table=assembly_in_table, slots=slots)
+        placements = self._locator.measure(image, assembly_in_table=assembly_in_table, slots=slots)
         return tuple(
             PlacementRecord(item.slot, item.found, item.dx_mm, item.dy_mm, item.da_deg, item.residual_mm)
             for item in placements

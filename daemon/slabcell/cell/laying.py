@@ -6,7 +6,7 @@ grows as one piece.
 """
 
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 import shapely
@@ -37,8 +37,14 @@ class LayingOrder:
                 if contact[1] >= SHORTEST_MM:
                     self._sides[slot][other] = contact
 
-    def order(self, available: Iterable[int], laid: Iterable[int]) -> list[int]:
-        """Return the available slots in the order in which they shall be laid onto what lies already."""
+    def order(
+        self, available: Iterable[int], laid: Iterable[int], after: Mapping[int, Collection[int]] | None = None
+    ) -> list[int]:
+        """Return the available slots in the order in which they shall be laid onto what lies already.
+
+        ``after`` names what has to lie before a slot is filled; a slot whose turn cannot come is left out.
+        """
+        needed = after or {}
         lies, left = set(laid), sorted(set(available))
         result: list[int] = []
         costs: dict[int, tuple[int, int, float, int]] = {}
@@ -46,7 +52,10 @@ class LayingOrder:
             for slot in left:
                 if slot not in costs:
                     costs[slot] = self._cost(slot, lies)
-            slot = min(left, key=lambda item: costs[item])
+            ready = [slot for slot in left if lies.issuperset(needed.get(slot, ()))] if needed else left
+            if not ready:
+                break
+            slot = min(ready, key=lambda item: costs[item])
             left.remove(slot)
             lies.add(slot)
             result.append(slot)

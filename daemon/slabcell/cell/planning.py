@@ -2,12 +2,13 @@
 
 Both poses of a pair are the tool centre point with its Z axis down (B 0, C 180).  The direction of a round tool is
 free, as long as it is the same on the part at both ends, and a part that looks alike after a turn may be laid turned:
-both are chosen so that the wrist turns least.  A picture from above knows no heights: slabs of one thickness never
-hinder a tool that touches their upper faces, and everything else that may stand in the way has to be a forbidden zone.
+both are chosen so that the wrist turns least.  Slabs of one thickness never hinder a tool that touches their upper
+faces; of several, `clearance` says which have to come first.  A picture from above knows no heights of anything else:
+what may stand in the way has to be a forbidden zone.
 """
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
@@ -16,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slabcell.catalogue import Fault
+from slabcell.cell.clearance import Clearance
 from slabcell.cell.laying import LayingOrder
 from slabcell.cell.records import Pair
 from slabcell.cell.settings import CellSettings
@@ -64,6 +66,7 @@ class Planner:
         self._arm = arm
         self._order = LayingOrder(recipe.template.slots)
         self._workspace = Workspace(recipe.template.slots, settings)
+        self._clearance = Clearance(recipe, settings)
         self._pick_base, self._place_base = settings.pick_base.matrix, settings.place_base.matrix
         self._from_tcp = np.linalg.inv(settings.tool.matrix)
         x, y, _, _, b, c = settings.tool.as_tuple()
@@ -97,12 +100,16 @@ class Planner:
                 possible[part.slot] = part
             else:
                 refused.append(problem)
-        picks = dict(
-            zip(possible, self._descents(self._pick_base, [part.pick for part in possible.values()]), strict=True)
-        )
+        after = self._restrict(possible, laid, refused)
+        heights = [self._recipe.height_mm(slot) for slot in possible]
+        descents = self._descents(self._pick_base, [part.pick for part in possible.values()], heights)
+        picks = dict(zip(possible, descents, strict=True))
         pairs: list[Pair] = []
         wrist_deg: float | None = None
-        for slot in self._order.order(possible, laid):
+        done = set(laid)
+        for slot in self._order.order(possible, laid, after):
+            if after and not done.issuperset(after.get(slot, ())):
+                continue  # what had to come before it could not be reached: said below
             try:
                 if self._straight:
                     pair, wrist_deg = self._pair(possible[slot], picks[slot], wrist_deg, correction_mm)
@@ -112,22 +119,48 @@ class Planner:
                 refused.append(Refusal(slot, Fault.UNREACHABLE, str(error)))
                 continue
             pairs.append(pair)
+            done.add(slot)
+        for slot in possible.keys() - done - {item.slot for item in refused}:
+            first = ", ".join(str(other) for other in sorted(set(after.get(slot, ())) - done))
+            detail = f"the slabs of slots {first} have to go first: the gripper would hit what is higher than it"
+            refused.append(Refusal(slot, Fault.COLLISION, detail))
         return Plan(tuple(pairs), tuple(sorted(refused, key=lambda item: item.slot)))
+
+    def _restrict(
+        self, possible: dict[int, LocatedPart], laid: Collection[int], refused: list[Refusal]
+    ) -> Mapping[int, Collection[int]]:
+        """Take away the parts that cannot be laid for what is higher; return what has to come before the others."""
+        if self._clearance.one_height:
+            return {}
+        too_high = self._clearance.too_high()
+        if too_high:
+            refused += [Refusal(slot, Fault.COLLISION, too_high) for slot in possible]
+            possible.clear()
+            return {}
+        while True:  # what is taken away may have been what another one waits for
+            found = self._clearance.precedence(possible, laid)
+            if not found.refused:
+                return found.after
+            refused += found.refused
+            for item in found.refused:
+                del possible[item.slot]
 
     def _pair(
         self, part: LocatedPart, pick: Descent, wrist_deg: float | None, correction_mm: tuple[float, float]
     ) -> tuple[Pair, float]:
         """Return the poses of one part, and where A6 stands after it was laid.  Raises ArmError."""
         at_pick = self._descend(pick)
-        reached = self._places_reached(self._alike(part, correction_mm))
+        reached = self._places_reached(self._alike(part, correction_mm), self._recipe.height_mm(part.slot))
         limits = self._arm.axis_min_deg[5], self._arm.axis_max_deg[5]
         a6 = [a6 for a6, _ in reached]
         way, turn, last = least_turn(at_pick[5], a6, self._turns_deg, limits, wrist_deg)
         turn_deg = self._turns_deg[turn]
-        pair = Pair(part.slot, self._down(part.pick, turn_deg), self._down(reached[way][1], turn_deg), part.score)
+        height_mm = self._recipe.height_mm(part.slot)
+        place = _down(reached[way][1], turn_deg, height_mm)
+        pair = Pair(part.slot, _down(part.pick, turn_deg, height_mm), place, part.score)
         return pair, last
 
-    def _places_reached(self, places: list[PlanarPose]) -> list[tuple[float, PlanarPose]]:
+    def _places_reached(self, places: list[PlanarPose], height_mm: float) -> list[tuple[float, PlanarPose]]:
         """Return the ways to lay a part that the arm reaches, each with A6; raises ArmError if there is none."""
         found: list[tuple[float, PlanarPose]] = []
         problem: ArmError | None = None
@@ -137,7 +170,7 @@ class Planner:
                 found.append((found[0][0] + place.a_deg - found[0][1].a_deg, place))
                 continue
             try:
-                found.append((self._place_axes(place)[5], place))
+                found.append((self._place_axes(place, height_mm)[5], place))
             except ArmError as error:
                 problem = problem or error
         if problem is not None and not found:
@@ -147,21 +180,24 @@ class Planner:
     def _first_reached(self, part: LocatedPart, correction_mm: tuple[float, float]) -> Pair:
         """Return the poses of one part with a tool that is bent or beside the flange's axis.  Raises ArmError."""
         problem: ArmError | None = None
+        height_mm = self._recipe.height_mm(part.slot)
         for turn, place in product(self._few_turns_deg, self._alike(part, correction_mm)):
-            (way,) = self._descents(self._pick_base, [_turned(part.pick, turn)])
+            (way,) = self._descents(self._pick_base, [_turned(part.pick, turn)], [height_mm])
             try:
                 self._descend(way)
-                self._place_axes(_turned(place, turn))
+                self._place_axes(_turned(place, turn), height_mm)
             except ArmError as error:
                 problem = problem or error
                 continue
-            return Pair(part.slot, self._down(part.pick, turn), self._down(place, turn), part.score)
+            pick = _down(part.pick, turn, height_mm)
+            return Pair(part.slot, pick, _down(place, turn, height_mm), part.score)
         assert problem is not None  # noqa: S101  (there is at least one way, and none was reached)
         raise problem
 
     def _alike(self, part: LocatedPart, correction_mm: tuple[float, float]) -> list[PlanarPose]:
         """Return the ways to lay the part that look the same."""
-        order = max(1, min(part.symmetry_order, 12))
+        # Beside higher slabs the gripper is where `clearance` has looked, and nowhere else.
+        order = max(1, min(part.symmetry_order, 12)) if self._clearance.one_height else 1
         place = part.place
         found = [place]
         middle = self._middles[part.slot]
@@ -174,7 +210,7 @@ class Planner:
             found.append(PlanarPose(x, y, normalize_deg(place.a_deg + turn_deg)))
         return found
 
-    def _descents(self, base: Matrix, poses: Sequence[PlanarPose]) -> list[Descent]:
+    def _descents(self, base: Matrix, poses: Sequence[PlanarPose], heights_mm: Sequence[float]) -> list[Descent]:
         """Return where the flange is above each pose, and at it, with the tool unturned; all of them at once."""
         if not poses:
             return []
@@ -183,14 +219,14 @@ class Planner:
         down = np.zeros((len(poses), 4, 4))  # Rz(a) turned over about X: the tool looks down
         down[:, 0, 0], down[:, 0, 1], down[:, 1, 0], down[:, 1, 1] = c, s, s, -c
         down[:, 2, 2], down[:, 3, 3] = -1.0, 1.0
-        down[:, 0, 3], down[:, 1, 3], down[:, 2, 3] = x, y, self._recipe.thickness_mm
+        down[:, 0, 3], down[:, 1, 3], down[:, 2, 3] = x, y, heights_mm
         at = base @ down @ self._from_tcp
         above = at.copy()
         above[:, :3, 3] += self._settings.approach_mm * base[:3, 2]  # straight up in the base, which may be tilted
         return [(_pose(over), _pose(target)) for over, target in zip(above.tolist(), at.tolist(), strict=True)]
 
-    def _at_place(self, place: PlanarPose) -> Axes:
-        (way,) = self._descents(self._place_base, [place])
+    def _at_place(self, place: PlanarPose, height_mm: float) -> Axes:
+        (way,) = self._descents(self._place_base, [place], [height_mm])
         return self._descend(way)
 
     def _descend(self, way: Descent) -> Axes:
@@ -200,9 +236,9 @@ class Planner:
         status, _ = self._arm.status_turn(axes)
         return self._arm.inverse(at, near=axes, status=status)
 
-    def _down(self, pose: PlanarPose, turn_deg: float) -> Frame:
-        height_mm = self._recipe.thickness_mm
-        return Frame(pose.x_mm, pose.y_mm, height_mm, normalize_deg(pose.a_deg + turn_deg), 0.0, 180.0)
+
+def _down(pose: PlanarPose, turn_deg: float, height_mm: float) -> Frame:
+    return Frame(pose.x_mm, pose.y_mm, height_mm, normalize_deg(pose.a_deg + turn_deg), 0.0, 180.0)
 
 
 def _same_point(one: PlanarPose, other: PlanarPose) -> bool:

@@ -7,7 +7,7 @@ from slabcell.cell.planning import Planner
 from slabcell.cell.records import Pair
 from slabcell.geometry import normalize_deg
 from slabcell.recipe import Recipe
-from slabcell.vision import Locator
+from slabcell.vision.layers import LayeredLocator
 
 __all__ = ["Difference", "Replay", "replay"]
 
@@ -47,7 +47,7 @@ def replay(bundle: Bundle, recipe: Recipe | None = None) -> Replay:
         what = "a verification, in which nothing was offered" if bundle.verification else "a cycle without a picture"
         raise BundleError(f"{bundle.path}: is {what}; give a bundle of a cycle")
     used = recipe or bundle.recipe
-    located = Locator(bundle.calibration, used).locate(
+    located = LayeredLocator(bundle.calibration, used).locate(
         bundle.picture, area_mm=bundle.settings.pick_area, free_slots=bundle.free_slots
     )
     planned = Planner(used, bundle.settings, bundle.arm).plan(

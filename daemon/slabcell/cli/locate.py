@@ -28,8 +28,8 @@ from rich.table import Table
 from slabcell.calibration import load_calibration
 from slabcell.errors import CalibrationError, ImageError, SlabcellError, UsageError
 from slabcell.images import read_image
-from slabcell.recipe import load_recipe
-from slabcell.vision import Locator
+from slabcell.recipe import Recipe, load_recipe
+from slabcell.vision.layers import LayeredLocator
 from slabcell.vision.overlay import draw_overlay
 from slabcell.vision.result import LocateResult
 
@@ -54,9 +54,9 @@ class _Job:
     overlay_is_file: bool
 
     @cached_property
-    def locator(self) -> Locator:
+    def locator(self) -> LayeredLocator:
         """Calibration and recipe, read once in each process."""
-        locator = Locator(load_calibration(self.calibration), load_recipe(self.recipe))
+        locator = LayeredLocator(load_calibration(self.calibration), load_recipe(self.recipe))
         locator.calibration.require_plane()
         return locator
 
@@ -103,7 +103,6 @@ def locate_command(
         msg = f"--overlay {overlay} is one file, but there are {len(paths)} pictures: name a directory"
         raise UsageError(msg)
     job = _Job(calibration, recipe, overlay, single)
-    thickness_mm = job.locator.recipe.thickness_mm
     console = Console()
     rows: list[tuple[object, ...]] = []
     results: list[_Located] = []
@@ -117,7 +116,7 @@ def locate_command(
             typer.echo(json.dumps(document, indent=None if len(paths) > 1 else 1, ensure_ascii=False))
         else:
             _print(console, located.path, located.result)
-        rows += _pose_rows(located.path, located.result, thickness_mm)
+        rows += _pose_rows(located.path, located.result, job.locator.recipe)
     if poses_csv is not None:
         text = io.StringIO()
         text.write(CSV_HEAD + "\n")
@@ -134,7 +133,7 @@ def _run(job: _Job, paths: list[Path]) -> Iterator[_Located]:
     """Yield the results in the order of the pictures; many pictures are done on all cores, with a progress bar."""
     cores = os.cpu_count() or 1
     # A promptable model uses all cores for one picture, and one of it in memory is enough.
-    if len(paths) < PARALLEL_FROM or cores == 1 or job.locator.segmenter is not None:
+    if len(paths) < PARALLEL_FROM or cores == 1 or job.locator.layers[0].locator.segmenter is not None:
         yield from (_locate(job, path) for path in paths)
         return
     # Spawned, not forked: OpenCV's threads do not survive a fork.
@@ -235,14 +234,14 @@ def _print(console: Console, path: Path, result: LocateResult) -> None:
         console.print(f"Slots without a slab: {', '.join(str(slot) for slot in result.empty_slots)}")
 
 
-def _pose_rows(path: Path, result: LocateResult, thickness_mm: float) -> list[tuple[object, ...]]:
+def _pose_rows(path: Path, result: LocateResult, recipe: Recipe) -> list[tuple[object, ...]]:
     return [
         (
             str(path),
             part.slot,
             *(f"{value:.4f}" for value in (part.pick.x_mm, part.pick.y_mm, part.pick.a_deg)),
             *(f"{value:.4f}" for value in (part.place.x_mm, part.place.y_mm, part.place.a_deg)),
-            f"{thickness_mm:g}",
+            f"{recipe.height_mm(part.slot):g}",
             f"{part.score:.4f}",
             *(f"{value:.5f}" for value in (part.sigma.x_mm, part.sigma.y_mm, part.sigma.a_deg)),
         )

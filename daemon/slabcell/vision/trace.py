@@ -6,7 +6,7 @@ located slab's outline its edges were measured.
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from slabcell.geometry import Points, Polygon
 from slabcell.vision.blobs import Blobs, RawBlob
 from slabcell.vision.edge_projection import Outlines, Poses
 from slabcell.vision.kernel import engine
+from slabcell.vision.layers import LayeredLocator
 from slabcell.vision.local_map import MARGIN_PX
 from slabcell.vision.locate import Locator
 from slabcell.vision.picture_model import picture_model
@@ -57,7 +58,7 @@ class Trace:
 
 
 def trace(
-    locator: Locator,
+    locator: LayeredLocator,
     image: npt.NDArray[Any],
     *,
     area_mm: Polygon | None = None,
@@ -69,25 +70,34 @@ def trace(
     than the calibration's.
     """
     seen: list[tuple[Segmentation, Blobs]] = []
-    result: LocateResult | None = None
+    results: list[LocateResult] = []
+    residuals: list[EdgeResiduals] = []
+    free = set(range(len(locator.recipe.template.slots))) if free_slots is None else set(free_slots)
     refusal = ""
 
     def watch(segmentation: Segmentation, blobs: Blobs) -> None:
         seen.append((segmentation, blobs))
 
     try:
-        result = locator.locate(image, area_mm=area_mm, free_slots=free_slots, watch=watch)
+        for layer in locator.layers:
+            own = [number for number, slot in enumerate(layer.slots) if slot in free]
+            found = layer.locator.locate(image, area_mm=area_mm, free_slots=own, watch=watch)
+            results.append(layer.renumbered(found))
+            if found.parts:
+                measured = _residuals(layer.locator, as_grey(image), found.parts)
+                residuals += [replace(item, slot=layer.slots[item.slot]) for item in measured]
     except ImageError as error:
         refusal = str(error)
-    segmentation, blobs = seen[-1] if seen else (None, ())
-    parts = result.parts if result is not None else ()
+    segmentation, blobs = seen[0] if seen else (None, ())
+    result = None if refusal else results[0] if len(results) == 1 else locator.merged(results, free)
+    located = set[int]() if result is None else {part.slot for part in result.parts}
     return Trace(
         result,
         refusal,
         segmentation.description if segmentation else "",
         segmentation.mask if segmentation else None,
         tuple(blobs),
-        _residuals(locator, as_grey(image), parts) if parts else (),
+        tuple(item for item in residuals if item.slot in located),
     )
 
 

@@ -34,9 +34,10 @@ def part(slot: int = 0, pick=(50.0, 40.0, 0.0), place=(15.0, 15.0), order: int =
     )
 
 
-def plan(parts, settings=SETTINGS, *, slots=None, laid=(), thickness_mm=10.0):
+def plan(parts, settings=SETTINGS, *, slots=None, laid=(), thickness_mm=10.0, other=None):
     slots = slots or [square(100.0 * index, 0) for index in range(1 + max(item.slot for item in parts))]
     recipe = Recipe.from_template(Template("squares", tuple(slots), "0" * 64), thickness_mm)
+    recipe = replace(recipe, other_thickness_mm=other or {})
     return Planner(recipe, settings, KR3_R540).plan(parts, laid=laid)
 
 
@@ -150,3 +151,84 @@ def test_the_assembly_in_the_table_follows_from_both_bases():
 def test_bases_that_are_tilted_against_each_other_are_refused():
     with pytest.raises(ConfigurationError, match=r"B 0\.500°"):
         CellSettings(Frame(200, -200), Frame(220, 100, 0, 0, 0.5), Frame(z_mm=260), WIDE)
+
+
+def beside(slot: int, pick=None):
+    """The slab of one of three slots in a row, 30 mm wide, without a joint between them."""
+    at = RigidTransform2D(0.0, 100.0 * slot if pick is None else pick - 15.0, 40.0)
+    found = part(slot, (at.x_mm + 15.0, 55.0, 0.0), (30.0 * slot + 15.0, 15.0))
+    where = at.inverse() @ RigidTransform2D(0.0, 0.0, 0.0)
+    return LocatedPart(
+        *(slot, 0.9, 0.1, 1, ImagePose(0, 0, 0), RigidTransform2D(0.0, where.x_mm + 30.0 * slot, where.y_mm)),
+        *(found.pick, found.place, Sigma(0, 0, 0), np.zeros((0, 2))),
+    )
+
+
+ROW = [square(30.0 * slot, 0.0) for slot in range(3)]
+THICK = {1: 25.0}
+WIDE_GRIPPER = replace(SETTINGS, gripper_radius_mm=18.0)
+
+
+def test_each_slab_is_picked_and_laid_at_its_own_height():
+    pairs = plan([beside(slot) for slot in range(3)], slots=ROW, other=THICK).pairs
+    assert {pair.slot: (pair.pick.z_mm, pair.place.z_mm) for pair in pairs} == {
+        0: (10.0, 10.0),
+        1: (25.0, 25.0),
+        2: (10.0, 10.0),
+    }
+
+
+def test_what_is_lower_is_laid_before_what_is_higher_beside_it():
+    planned = plan([beside(slot) for slot in range(3)], WIDE_GRIPPER, slots=ROW, other=THICK)
+    assert planned.refused == ()
+    order = [pair.slot for pair in planned.pairs]
+    assert order.index(1) == 2
+    flat = plan([beside(slot) for slot in range(3)], WIDE_GRIPPER, slots=ROW)
+    assert [pair.slot for pair in flat.pairs].index(1) < 2  # without heights the middle one comes before it is pinched
+
+
+def test_a_gripper_that_does_not_reach_beyond_its_slab_need_not_care():
+    narrow = replace(SETTINGS, gripper_radius_mm=10.0)
+    planned = plan([beside(0)], narrow, slots=ROW, laid=(1,), other=THICK)
+    assert [pair.slot for pair in planned.pairs] == [0]
+
+
+def test_nothing_is_laid_where_the_gripper_would_hit_a_higher_slab_that_lies_there():
+    planned = plan([beside(0), beside(2)], WIDE_GRIPPER, slots=ROW, laid=(1,), other=THICK)
+    assert planned.pairs == ()
+    assert [(item.slot, item.fault) for item in planned.refused] == [(0, Fault.COLLISION), (2, Fault.COLLISION)]
+    assert "would hit the slab in slot 1" in planned.refused[0].detail
+
+
+def test_what_is_higher_waits_for_a_lower_slot_beside_it_that_nothing_fills_yet():
+    planned = plan([beside(1), beside(2)], WIDE_GRIPPER, slots=ROW, other=THICK)
+    assert [pair.slot for pair in planned.pairs] == [2]
+    assert [(item.slot, item.fault) for item in planned.refused] == [(1, Fault.COLLISION)]
+    assert "slot 0 beside it is lower" in planned.refused[0].detail
+
+
+def test_a_part_that_lies_beside_a_higher_one_is_picked_after_it():
+    far = [square(0.0, 0.0), square(100.0, 0.0)]
+    thin, thick = beside(0, pick=100.0), beside(1, pick=131.0)
+    thick = LocatedPart(
+        *(1, 0.9, 0.1, 1, ImagePose(0, 0, 0), RigidTransform2D(0.0, 100.0 - 116.0, -40.0)),
+        *(thick.pick, PlanarPose(115.0, 15.0, 0.0), Sigma(0, 0, 0), np.zeros((0, 2))),
+    )
+    planned = plan([thin, thick], WIDE_GRIPPER, slots=far, other=THICK)
+    assert [pair.slot for pair in planned.pairs] == [1, 0]
+    alone = plan([thin, thick], WIDE_GRIPPER, slots=far)
+    assert [pair.slot for pair in alone.pairs] == [0, 1]
+
+
+def test_parts_that_wait_for_each_other_are_refused():
+    # Slot 1 is higher and beside slot 0 in the pattern; on the table the higher one lies beside the lower.
+    planned = plan([beside(0, pick=100.0), beside(1, pick=131.0)], WIDE_GRIPPER, slots=ROW[:2], other=THICK)
+    assert planned.pairs == ()
+    assert {item.fault for item in planned.refused} == {Fault.COLLISION}
+    assert "have to go first" in planned.refused[0].detail
+
+
+def test_an_approach_that_is_not_above_the_highest_slab_is_refused_for_every_part():
+    planned = plan([beside(0)], replace(SETTINGS, approach_mm=20.0), slots=ROW, other=THICK)
+    assert planned.pairs == ()
+    assert "raise robot.krl.approach_mm" in planned.refused[0].detail

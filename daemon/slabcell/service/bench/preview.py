@@ -17,8 +17,8 @@ from slabcell.geometry import Points, Polygon
 from slabcell.images import Image
 from slabcell.service.bench.wire import Message
 from slabcell.service.bench.work import Work
-from slabcell.vision import Locator
 from slabcell.vision.blobs import RawBlob
+from slabcell.vision.layers import LayeredLocator
 from slabcell.vision.outlines import overlay_document
 from slabcell.vision.pixels import as_8_bit
 from slabcell.vision.trace import Trace, trace
@@ -46,7 +46,7 @@ def preview(work: Work) -> Message:
     calibration = calibration_from_document(said["calibration"], "the calibration")
     image = work.picture()
     area = Polygon.from_points(said["area_mm"]) if said.get("area_mm") else None
-    done = trace(Locator(calibration, recipe), image, area_mm=area, free_slots=said.get("free_slots"))
+    done = trace(LayeredLocator(calibration, recipe), image, area_mm=area, free_slots=said.get("free_slots"))
     height, width = image.shape[:2]
     step = -(-max(height, width) // MAX_SIDE_PX)
     files = _pictures(image, calibration, done, step)
