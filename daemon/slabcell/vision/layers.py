@@ -45,7 +45,7 @@ class Layer:
         """Return a result of the locator with the template's numbers of slots."""
         return replace(
             found,
-            parts=tuple(_with(part, self.slots[part.slot], part.blob) for part in found.parts),
+            parts=tuple(part._replace(slot=self.slots[part.slot]) for part in found.parts),
             empty_slots=tuple(self.slots[slot] for slot in found.empty_slots),
         )
 
@@ -105,7 +105,7 @@ class LayeredLocator:
         """Return what the layers say together; ``results`` are in their order."""
         first = results[0]
         found = [
-            part if result is first else _with(part, part.slot, None) for result in results for part in result.parts
+            part if result is first else part._replace(blob=None) for result in results for part in result.parts
         ]
         kept, unsure = _told_apart(found, self.recipe)
         shapes = [_shape(part.outline_px) for part in found]
@@ -160,25 +160,6 @@ def _part_of(recipe: Recipe, height_mm: float, slots: Collection[int]) -> Recipe
         _flat(recipe, height_mm),
         template=replace(recipe.template, slots=tuple(recipe.template.slots[slot] for slot in slots)),
         grasp=recipe.grasp.model_copy(update={"forbidden": zones}),
-    )
-
-
-def _with(part: LocatedPart, slot: int, blob: int | None) -> LocatedPart:
-    """Return the part with another number of slot and of blob."""
-    return LocatedPart(
-        slot=slot,
-        score=part.score,
-        residual_mm=part.residual_mm,
-        symmetry_order=part.symmetry_order,
-        image=part.image,
-        table_to_assembly=part.table_to_assembly,
-        pick=part.pick,
-        place=part.place,
-        sigma=part.sigma,
-        outline_px=part.outline_px,
-        kerf_mm=part.kerf_mm,
-        coverage=part.coverage,
-        blob=blob,
     )
 
 

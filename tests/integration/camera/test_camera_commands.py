@@ -197,6 +197,36 @@ def test_sim_camera_shows_a_folder_and_obeys_faults_from_its_input(
     running.signal(signal.SIGTERM)
 
 
+def test_a_camera_that_is_out_of_focus_or_stuck_sends_such_pictures(
+    aravis: AravisLibrary, address: str, tmp_path: Path, program: Callable[..., object]
+) -> None:
+    for number in range(5):
+        picture = np.full((60, 80), 20 + number, np.uint8)
+        picture[:, 40:] = 200
+        cv2.imwrite(str(tmp_path / f"{number}.png"), picture)
+    running = program("--address", address, "--images", str(tmp_path))
+    out = tmp_path / "out" / "seen.png"
+    out.parent.mkdir()
+
+    def seen() -> np.ndarray:
+        run("grab", address, "--out", str(out), *LO)
+        return cv2.imread(str(out), cv2.IMREAD_UNCHANGED)
+
+    def steepest(picture: np.ndarray) -> int:
+        return int(np.abs(np.diff(picture[30].astype(int))).max())
+
+    sharp = seen()
+    assert steepest(sharp) > 150
+    running.do("stuck on")
+    assert np.array_equal(seen(), sharp)
+    assert np.array_equal(seen(), sharp)
+    running.do("stuck off")
+    assert any(not np.array_equal(seen(), sharp) for _ in range(3))
+    running.do("blur on")
+    assert steepest(seen()) < 100
+    running.signal(signal.SIGTERM)
+
+
 @pytest.mark.parametrize(
     ("words", "message", "code"),
     [
