@@ -41,18 +41,41 @@ def _utc_now() -> str:
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
+def _in_memory(path: Path) -> sqlite3.Connection:
+    """Return a copy of a database, read without a lock that would make its writer wait."""
+    source = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, timeout=BUSY_TIMEOUT_S)
+    copy = sqlite3.connect(":memory:", isolation_level=None)
+    try:
+        source.backup(copy)
+    except BaseException:
+        copy.close()
+        raise
+    finally:
+        source.close()
+    return copy
+
+
 class LedgerFile:
     """The ledger's file.  Blocking; used by one thread.
 
     Raises `LedgerError` on a file that cannot be opened, is damaged, or was written by a newer version.
     """
 
-    def __init__(self, path: Path, *, now: Callable[[], str] = _utc_now) -> None:
+    def __init__(self, path: Path, *, now: Callable[[], str] = _utc_now, copy: bool = False) -> None:
+        """Open or create the file; with ``copy`` take a copy of it into memory, and leave the file alone.
+
+        A copy is what the file held at one moment, whatever a daemon writes meanwhile.
+        """
         self.path = path
         self._now = now
         try:
-            self._db = sqlite3.connect(path, timeout=BUSY_TIMEOUT_S, isolation_level=None)
-        except sqlite3.Error as error:
+            if copy:
+                self._db = _in_memory(path)
+            else:
+                self._db = sqlite3.connect(path, timeout=BUSY_TIMEOUT_S, isolation_level=None)
+        except DAMAGE as error:
+            if copy:
+                raise named(path, error) from error
             msg = f"{path}: cannot be opened: {error}; check that the directory exists and may be written"
             raise LedgerError(msg, number=Fault.LEDGER_UNWRITABLE) from error
         # Damaged text must not be another exception than damaged pages: it is shown as it is.

@@ -44,7 +44,7 @@ def show(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Show a job: every result, its slot, and what became of it."""
-    book = LedgerFile(_existing(ledger))
+    book = LedgerFile(_existing(ledger), copy=True)
     try:
         jobs = book.rows("jobs")
         chosen = [row for row in jobs if job is None or row["job_id"] == job][-1:]
@@ -86,7 +86,7 @@ def export(
     out: Annotated[Path, typer.Argument(metavar="FILE", help="JSON file to write.")], ledger: Where = None
 ) -> None:
     """Write the whole ledger as JSON: a backup, and for evaluation elsewhere."""
-    book = LedgerFile(_existing(ledger))
+    book = LedgerFile(_existing(ledger), copy=True)
     try:
         document = export_document(book)
     finally:

@@ -91,8 +91,9 @@ class CameraKeeper:
             if self._camera.state is CameraState.READY:
                 self._up(info)
                 continue
-            self._down(Fault.CAMERA_LOST, f"camera {info.serial} is {self._camera.state.value}")
             driver = self._camera.camera if isinstance(self._camera, LitCamera) else self._camera
+            cause = driver.cause if isinstance(driver, SupervisedCamera) else ""
+            self._down(Fault.CAMERA_LOST, cause or f"camera {info.serial} is {self._camera.state.value}")
             if not isinstance(driver, SupervisedCamera):
                 return
 

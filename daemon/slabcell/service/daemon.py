@@ -17,8 +17,10 @@ from typing import Any
 
 import structlog
 
+from slabcell.catalogue import Fault
 from slabcell.cell.cell import Cell
 from slabcell.cell.ledger import Ledger
+from slabcell.errors import SlabcellError
 from slabcell.service.active_recipe import RecipeShelf
 from slabcell.service.api.app import make_app
 from slabcell.service.api.context import ApiContext
@@ -123,7 +125,7 @@ async def running_cell(
         history = await History.open(folder / "history.sqlite")
         stack.push_async_callback(history.close)
         epoch = secrets.token_hex(4)
-        ring, links, frames = EventRing(epoch), Links(), FrameStore(epoch)
+        ring, links, frames = EventRing(epoch), Links(light=config.light is not None), FrameStore(epoch)
         stack.push_async_callback(frames.close)
         feed = EventFeed(ring, history, links, frames)
         links.changed = feed.link_changed
@@ -132,7 +134,7 @@ async def running_cell(
         stack.push_async_callback(camera.close)
         cell, ledger = await stack.enter_async_context(open_cell(parts, camera, folder))
         stack.callback(cell.subscribe(feed.see))
-        light.tell_to(cell.alarms)
+        light.tell_to(cell.alarms, links)
         view = LedgerView(folder / "ledger.sqlite")
         stack.push_async_callback(view.close)
         robot = RobotWatch(cell, links)
@@ -173,21 +175,39 @@ async def running_cell(
 
 @contextlib.asynccontextmanager
 async def _beside(*works: Coroutine[Any, Any, None]) -> AsyncGenerator[None]:
-    """Have something done beside the rest, until the end of the block.  What fails ends the daemon, named."""
+    """Have something done beside the rest, until the end of the block.  What fails ends the block, and is named.
+
+    A daemon without one of its parts would look alive and not be: it ends in order, and the supervisor starts it anew.
+    Raises SlabcellError for what has failed.
+    """
+    block = asyncio.current_task()
+    failed: list[tuple[str, BaseException]] = []
+
+    def report(task: asyncio.Task[None]) -> None:
+        if task.cancelled() or (error := task.exception()) is None:
+            return
+        _log.error("a part of the daemon ended", part=task.get_name(), exc_info=error)
+        if not failed and block is not None:
+            block.cancel()
+        failed.append((task.get_name(), error))
+
     tasks = [asyncio.create_task(work, name=f"slabcell-{work.__qualname__}") for work in works]
     for task in tasks:
-        task.add_done_callback(_report)
+        task.add_done_callback(report)
     try:
         yield
+    except asyncio.CancelledError:
+        if not failed or block is None or block.uncancel() > 0:
+            raise
     finally:
         for task in tasks:
+            task.remove_done_callback(report)
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
-
-
-def _report(task: asyncio.Task[None]) -> None:
-    if not task.cancelled() and (error := task.exception()) is not None:
-        _log.error("a part of the daemon ended", part=task.get_name(), exc_info=error)
+    if failed:
+        part, error = failed[0]
+        msg = f"{part} ended: {type(error).__name__}: {error}"
+        raise SlabcellError(msg, number=Fault.INTERNAL) from error
 
 
 def _watchdog(cell: Cell, ledger: Ledger) -> tuple[Coroutine[Any, Any, None], ...]:

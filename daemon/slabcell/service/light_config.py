@@ -11,6 +11,7 @@ from pydantic import Field
 from slabcell.catalogue import Fault
 from slabcell.cell.alarms import Alarms
 from slabcell.errors import ConfigurationError
+from slabcell.service.links import LinkName, Links, LinkState
 from slabcell.toml_file import TomlTable
 from slabcell_drivers.camera import Camera
 from slabcell_drivers.light import (
@@ -69,18 +70,22 @@ class LightReport:
 
     def __init__(self) -> None:
         self._alarms: Alarms | None = None
+        self._links: Links | None = None
+        self._known = False
         self._trouble = ""
 
-    def tell_to(self, alarms: Alarms) -> None:
-        """Tell these alarms from now on."""
-        self._alarms = alarms
-        self.told(self._trouble)
+    def tell_to(self, alarms: Alarms, links: Links) -> None:
+        """Tell these alarms and links from now on."""
+        self._alarms, self._links = alarms, links
+        if self._known:
+            self.told(self._trouble)
 
     def told(self, trouble: str) -> None:
         """Take note of trouble, or of none."""
-        self._trouble = trouble
-        if self._alarms is None:
+        self._trouble, self._known = trouble, True
+        if self._alarms is None or self._links is None:
             return
+        self._links.set(LinkName.LIGHT, LinkState.DOWN if trouble else LinkState.UP, trouble)
         if trouble:
             self._alarms.come(Fault.LIGHT_LOST, trouble)
         else:

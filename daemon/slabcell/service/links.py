@@ -21,6 +21,7 @@ class LinkName(StrEnum):
     CAMERA = "camera"
     ROBOT = "robot"
     DISK = "disk"
+    LIGHT = "light"
 
 
 class LinkState(StrEnum):
@@ -43,15 +44,23 @@ class Link:
 
 
 class Links:
-    """The links of one cell.  ``changed`` is told of each change of state, in the event loop."""
+    """The links of one cell, ``light`` if it has one.  ``changed`` is told of each new state, in the event loop."""
 
     def __init__(
-        self, changed: Callable[[Link], None] | None = None, *, clock: Callable[[], float] = time.monotonic
+        self,
+        changed: Callable[[Link], None] | None = None,
+        *,
+        light: bool = False,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._clock = clock
         self.changed = changed
         now_s, now = clock(), datetime.now(UTC)
-        self._links = {name: Link(name, LinkState.CONNECTING, now_s, now) for name in LinkName}
+        self._links = {
+            name: Link(name, LinkState.CONNECTING, now_s, now)
+            for name in LinkName
+            if light or name is not LinkName.LIGHT
+        }
 
     def __getitem__(self, name: LinkName) -> Link:
         """Return how a link stands now."""

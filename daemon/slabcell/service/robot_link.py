@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 from collections.abc import AsyncGenerator
+
+import structlog
 
 from slabcell.cell.alarms import Alarms
 from slabcell.errors import UnavailableError
@@ -20,13 +23,17 @@ from slabcell_drivers.robot.modbus import ModbusGripper, ModbusTcpServer
 __all__ = ["serve_robot"]
 
 STOP_TIMEOUT_S = 5.0
+ADDRESS_EVERY_S = 1.0
+
+_log = structlog.get_logger(__name__)
 
 
 @contextlib.asynccontextmanager
 async def serve_robot(config: CellConfig, robot: RobotWatch, alarms: Alarms) -> AsyncGenerator[tuple[str, int]]:
     """Serve the robot; gives the address at which both meet, port 0 for a serial line.
 
-    Raises ConfigurationError, or UnavailableError if the address is taken.
+    An address that this PC does not have yet is waited for.  Raises ConfigurationError, or UnavailableError if the
+    address is taken.
     """
     async with contextlib.AsyncExitStack() as stack:
         gripper_config = config.robot.modbus.gripper
@@ -40,6 +47,10 @@ async def serve_robot(config: CellConfig, robot: RobotWatch, alarms: Alarms) -> 
         try:
             await link.start(handler)
         except OSError as error:
+            if error.errno == errno.EADDRNOTAVAIL:
+                await stack.enter_async_context(_started_later(link, handler, robot, where))
+                yield where
+                return
             section = "eki" if config.robot.link == "eki" else "modbus"
             host, port = where
             place = f"{host}:{port}" if port else host
@@ -48,14 +59,48 @@ async def serve_robot(config: CellConfig, robot: RobotWatch, alarms: Alarms) -> 
                 " is it this PC's own, and not in use?"
             )
             raise UnavailableError(msg) from error
-        if isinstance(link, EkiServer | ModbusTcpServer):
-            where = link.address
-        robot.meets_at(*where, link)
+        where = _met(link, robot, where)
         try:
             yield where
         finally:
             async with asyncio.timeout(STOP_TIMEOUT_S):
                 await link.stop()
+
+
+def _met(link: RobotLink, robot: RobotWatch, where: tuple[str, int]) -> tuple[str, int]:
+    if isinstance(link, EkiServer | ModbusTcpServer):
+        where = link.address
+    robot.meets_at(*where, link)
+    return where
+
+
+@contextlib.asynccontextmanager
+async def _started_later(
+    link: RobotLink, handler: Handler, robot: RobotWatch, where: tuple[str, int]
+) -> AsyncGenerator[None]:
+    """Serve the robot as soon as this PC has the address: its network may come up after the daemon."""
+    waiting = asyncio.create_task(_start_when_there(link, handler, robot, where), name="slabcell-robot-address")
+    try:
+        yield
+    finally:
+        waiting.cancel()
+        await asyncio.gather(waiting, return_exceptions=True)
+        async with asyncio.timeout(STOP_TIMEOUT_S):
+            await link.stop()
+
+
+async def _start_when_there(link: RobotLink, handler: Handler, robot: RobotWatch, where: tuple[str, int]) -> None:
+    host, port = where
+    _log.warning("the robot's address is not there yet", host=host, port=port, next_try_s=ADDRESS_EVERY_S)
+    while True:
+        try:
+            await link.start(handler)
+        except OSError as error:
+            robot.unreachable(f"{host}:{port} is not this PC's address yet: {error.strerror or error}")
+            await asyncio.sleep(ADDRESS_EVERY_S)
+        else:
+            _met(link, robot, where)
+            return
 
 
 def _make(config: CellConfig, robot: RobotWatch, gripper: ModbusGripper | None) -> tuple[RobotLink, tuple[str, int]]:

@@ -52,6 +52,10 @@ class RobotWatch:
         if waiting:  # closed is what we do ourselves, in the end
             self._cell.robot_link(connected=False)
 
+    def unreachable(self, why: str) -> None:
+        """Note that nobody listens for the robot, and why."""
+        self._links.set(LinkName.ROBOT, LinkState.DOWN, why)
+
     def meets_at(self, host: str, port: int, link: RobotLink) -> None:
         """Note where both meet, once that is known."""
         self._address = f" at {host}:{port}"

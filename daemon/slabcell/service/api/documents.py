@@ -48,7 +48,7 @@ class Done(Document):
 class LinkDocument(Document):
     """A link to a device."""
 
-    name: str = Field(description="camera, robot or disk")
+    name: str = Field(description="camera, robot, disk, or light where the cell has one")
     state: Literal["connecting", "up", "down"]
     since: str = Field(description="when it came to this state")
     age_s: float = Field(description="how long it has been in this state")
