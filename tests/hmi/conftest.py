@@ -261,3 +261,12 @@ def hmi(cell: Cell, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server
             answer = client.post("/users/add", {"name": role, "role": role, "password": PASSWORD, "again": PASSWORD})
             assert answer.status == 200, answer.text
         yield server
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """One Chromium for all tests of a worker."""
+    from .browser import opened_browser  # only tests that need it
+
+    with opened_browser() as running:
+        yield running

@@ -1,6 +1,9 @@
 """A stranger gets nothing, everybody what the role says, and no other site can use somebody's login."""
 
+import json
+import os
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -9,7 +12,7 @@ from slabcell.hmi.pages import PAGES
 from slabcell.hmi.route import HmiRoute
 from slabcell.hmi.security.roles import Role
 
-from .conftest import PASSWORD, ROLES, Client, Server
+from .conftest import LIMIT_S, PASSWORD, ROLES, SLABCELL, Client, Server
 
 pytestmark = pytest.mark.hmi
 
@@ -188,3 +191,32 @@ def test_writes_are_in_the_audit_log_without_their_secrets(hmi: Server) -> None:
     assert "403" in page
     assert "Your role may not do this" in page
     assert PASSWORD not in page
+
+
+def test_users_are_kept_by_the_command_too(tmp_path: Path) -> None:
+    config = Path(__file__).parents[2] / "config" / "demo.toml"
+
+    def command(*words: str, given: str = "") -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [*SLABCELL, "hmi", *words, "--config", str(config)],
+            input=given,
+            capture_output=True,
+            text=True,
+            timeout=LIMIT_S,
+            check=False,
+            env={**os.environ, "SLABCELL__HMI__STATE_DIRECTORY": str(tmp_path), "COLUMNS": "200"},
+        )
+
+    assert command("user", "add", "anna", "--role", "admin", given=f"{PASSWORD}\n").returncode == 0
+    assert "anna" in command("user", "list").stdout
+    refused = command("user", "role", "anna", "--role", "viewer")
+    assert refused.returncode == 1
+    assert "the only admin" in refused.stderr
+    assert command("user", "add", "bert", given="short\n").returncode == 1
+    assert json.loads(command("audit", "--json").stdout)["lines"] == []
+
+
+def test_the_token_of_the_first_start_is_worth_nothing_once_somebody_can_log_in(hmi: Server) -> None:
+    fields = {"token": hmi.token, "name": "second", "password": PASSWORD, "again": PASSWORD}
+    assert hmi.client().post("/first", fields).status == 404
+    assert hmi.client().get("/first").headers["location"] == "/login"

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from slabcell.cli.hmi_users import audit_command, user_app
 from slabcell.hmi.context import HmiOptions
 from slabcell.hmi.server import run_hmi
 from slabcell.hmi.settings import read_options
@@ -15,6 +16,8 @@ from slabcell.logs import log_to_stream
 __all__ = ["hmi_app"]
 
 hmi_app = typer.Typer(no_args_is_help=False, help="Serve the web pages, and keep their users.")
+hmi_app.add_typer(user_app, name="user")
+hmi_app.command("audit")(audit_command)
 CONFIG = Path("/etc/slabcell/cell.toml")
 Config = Annotated[Path, typer.Option("--config", metavar="FILE", help="The cell's configuration.")]
 

@@ -12,7 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
-__all__ = ["LANGUAGES", "Words", "load_tables"]
+__all__ = ["LANGUAGES", "PageWords", "Words", "load_alarms", "load_tables"]
 
 LANGUAGES: Final = {"en": "English", "de": "Deutsch"}
 ROOM: Final = Path(__file__).parent
@@ -25,6 +25,12 @@ def load_tables(language: str) -> dict[str, Table]:
     found = {"base": ROOM / "base" / f"{language}.toml"}
     found |= {path.parent.name: path for path in sorted((ROOM / "pages").glob(f"*/{language}.toml"))}
     return {name: dict(_flat(tomllib.loads(path.read_text(encoding="utf-8")))) for name, path in found.items()}
+
+
+def load_alarms(language: str) -> Table:
+    """Return the error catalogue's words in a language; none in English, which the daemon speaks itself."""
+    path = ROOM / "base" / f"alarms.{language}.toml"
+    return dict(_flat(tomllib.loads(path.read_text(encoding="utf-8")), "alarm.")) if path.exists() else {}
 
 
 def _flat(content: Mapping[str, Any], above: str = "") -> list[tuple[str, str]]:
@@ -40,6 +46,7 @@ class Words:
     def __init__(self, language: str) -> None:
         self.language = language
         self._tables = load_tables(language)
+        self._tables["base"] |= load_alarms(language)
 
     def of(self, page: str) -> PageWords:
         """Return the words of one page, and those of all."""

@@ -23,7 +23,7 @@ YEAR_S = 365 * 86_400
 async def _login(visit: Visit) -> Response:
     if visit.session is not None:
         return visit.go("/")
-    if visit.hmi.first_token:
+    if await _is_first_start(visit):
         return visit.go("/first")
     return _form(visit)
 
@@ -79,15 +79,22 @@ async def _logout(visit: Visit) -> Response:
     return response
 
 
+async def _is_first_start(visit: Visit) -> bool:
+    """Return whether nobody can log in yet; the token is worth nothing once somebody can, however that came."""
+    if visit.hmi.first_token and await visit.hmi.users.exist():
+        visit.hmi.first_token = ""
+    return bool(visit.hmi.first_token)
+
+
 async def _first(visit: Visit) -> Response:
-    if not visit.hmi.first_token:
+    if not await _is_first_start(visit):
         return visit.go("/login")
     return visit.page("first.html", problem="", name="")
 
 
 async def _make_first(visit: Visit) -> Response:
     hmi, name = visit.hmi, visit.text("name", most=64)
-    if not hmi.first_token:
+    if not await _is_first_start(visit):
         raise Refusal(HTTPStatus.NOT_FOUND, "refused.no_page")
 
     def again(status: int, problem: str) -> Response:

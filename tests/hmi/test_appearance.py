@@ -1,0 +1,97 @@
+"""Every page is accessible and fits, in both languages, light and dark, from a panel to a large screen."""
+
+import os
+from pathlib import Path
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Browser, Page, expect
+
+from slabcell.catalogue import catalogue
+from slabcell.hmi.words import LANGUAGES, load_alarms, load_tables
+
+from .browser import PATHS, SIZES, window
+from .conftest import Cell, Server
+
+pytestmark = [pytest.mark.hmi, pytest.mark.timeout(300)]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def laid(cell: Cell) -> None:
+    """There is something to see: a job half laid is not, a finished one is."""
+    cell.lay()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where pictures go: CI keeps them."""
+    wanted = os.environ.get("SLABCELL_SCREENSHOTS")
+    found = Path(wanted) if wanted else tmp_path_factory.mktemp("screenshots")
+    found.mkdir(parents=True, exist_ok=True)
+    return found
+
+
+def settle(page: Page, path: str) -> None:
+    """Load a page and wait until it shows what it is there for."""
+    page.goto(path)
+    if path in {"/", "/run", "/history"}:
+        expect(page.locator("slab-picture .stage").first).to_be_visible()
+    if path == "/doctor":
+        expect(page.locator(".finding").first).to_be_visible()
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_axe_finds_nothing_serious(hmi: Server, browser: Browser, path: str) -> None:
+    for colours in ("light", "dark"):
+        with window(browser, hmi, "admin", colours=colours) as page:
+            settle(page, path)
+            found = Axe().run(page).response["violations"]
+            serious = [
+                f"{item['id']}: {node['html']}"
+                for item in found
+                if item["impact"] in {"serious", "critical"}
+                for node in item["nodes"]
+            ]
+            assert serious == [], colours
+
+
+@pytest.mark.parametrize(("colours", "language"), [("light", "en"), ("dark", "de")])
+def test_every_page_fits_every_screen(hmi: Server, browser: Browser, folder: Path, colours: str, language: str) -> None:
+    with window(browser, hmi, "admin", colours=colours, language=language) as page:
+        for path in PATHS:
+            settle(page, path)
+            for width, height in SIZES:
+                page.set_viewport_size({"width": width, "height": height})
+                page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+                name = path.strip("/").replace("/", "-") or "overview"
+                page.screenshot(path=folder / f"{name}-{width}x{height}-{colours}-{language}.png")
+                beyond = page.evaluate(
+                    "() => [document.documentElement, document.querySelector('main')]"
+                    ".map(element => element.scrollWidth - element.clientWidth)"
+                )
+                assert beyond == [0, 0], (path, width)
+                small = page.evaluate(
+                    "() => [...document.querySelectorAll('button, .button, nav a')]"
+                    ".filter(element => element.offsetParent && element.getBoundingClientRect().height < 44)"
+                    ".map(element => element.outerHTML.slice(0, 120))"
+                )
+                assert small == [], (path, width)
+
+
+def test_both_languages_say_the_same_things() -> None:
+    english, german = (load_tables(language) for language in LANGUAGES)
+    assert english.keys() == german.keys()
+    for page, words in english.items():
+        assert words.keys() == german[page].keys(), page
+        for key, text in words.items():
+            assert places(text) == places(german[page][key]), (page, key)
+
+
+def places(text: str) -> set[str]:
+    return {part.partition("}")[0] for part in text.split("{")[1:]}
+
+
+def test_every_alarm_has_its_words_in_german() -> None:
+    words = load_alarms("de")
+    wanted = {f"alarm.{number}.{key}" for number in catalogue() for key in ("title", "meaning", "action")}
+    assert words.keys() == wanted
