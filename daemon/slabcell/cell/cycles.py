@@ -67,9 +67,13 @@ class Cycles:
             self._context = context
 
     def overhear(self, direction: str, telegram: bytes, at_s: float) -> None:
-        """Take what went over the wire to or from the robot; it is kept with the cycles it belongs to."""
+        """Take what went over the wire to or from the robot; it is kept with the cycles it belongs to.
+
+        XML is kept as text, registers as words in hexadecimal.
+        """
         self._heard += 1
-        text = telegram.decode("utf-8", errors="backslashreplace")
+        xml = telegram.lstrip().startswith(b"<")
+        text = telegram.decode("utf-8", errors="backslashreplace") if xml else telegram.hex(" ", 2)
         self._telegrams.append((self._heard, {"at_s": round(at_s, 6), "direction": direction, "telegram": text}))
         if direction == "sent":
             self._sent.set()

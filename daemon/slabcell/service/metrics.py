@@ -139,6 +139,8 @@ class _Present(Collector):
         yield GaugeMetricFamily("slabcell_event_clients", "Clients that listen to events.", value=listening)
         dropped = float(context.seats.dropped)
         yield CounterMetricFamily("slabcell_event_clients_dropped", "Event clients that did not read.", value=dropped)
+        refused = float(context.robot.refused_peers)
+        yield CounterMetricFamily("slabcell_robot_peers_refused", "Connections that were turned away.", value=refused)
         lost = float(context.history.lost)
         yield CounterMetricFamily("slabcell_history_lines_lost", "Lines that could not be written.", value=lost)
         yield from self._frames()

@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 from slabcell.errors import ConfigurationError
 from slabcell.toml_file import TomlTable
 from slabcell_drivers.robot import LinkState
+from slabcell_drivers.robot.link_events import TelegramHook
 from slabcell_drivers.robot.modbus import (
     Access,
     GripperAddresses,
@@ -128,6 +129,7 @@ def make_modbus_link(
     config: ModbusConfig,
     gripper: ModbusGripper | None,
     on_state: Callable[[LinkState], None],
+    on_telegram: TelegramHook | None = None,
 ) -> ModbusLink:
     """Return the link, not yet started.  Raises ConfigurationError."""
     register_map = _register_map(config)
@@ -146,11 +148,17 @@ def make_modbus_link(
             poll_s=config.poll_ms / 1000.0,
             heartbeat_timeout_s=config.watchdog_s,
             gripper=gripper,
+            on_telegram=on_telegram,
             on_state=on_state,
         )
     if kind == "modbus-rtu":
         return ModbusRtuServer(
-            line, register_map, heartbeat_timeout_s=config.watchdog_s, gripper=gripper, on_state=on_state
+            line,
+            register_map,
+            heartbeat_timeout_s=config.watchdog_s,
+            gripper=gripper,
+            on_telegram=on_telegram,
+            on_state=on_state,
         )
     return ModbusTcpServer(
         config.host,
@@ -159,5 +167,6 @@ def make_modbus_link(
         access=Access(config.peers, max_connections=config.max_connections),
         heartbeat_timeout_s=config.watchdog_s,
         gripper=gripper,
+        on_telegram=on_telegram,
         on_state=on_state,
     )

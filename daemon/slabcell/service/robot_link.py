@@ -113,9 +113,15 @@ def _make(config: CellConfig, robot: RobotWatch, gripper: ModbusGripper | None) 
             address = (krl.robot_ip, krl.robot_port)
             return EkiClient(*address, on_state=robot.link_changed, on_telegram=robot.telegram), address
         case "modbus-tcp":
-            return make_modbus_link("modbus-tcp", modbus, gripper, robot.link_changed), (modbus.host, modbus.port)
+            return make_modbus_link("modbus-tcp", modbus, gripper, robot.link_changed, robot.telegram), (
+                modbus.host,
+                modbus.port,
+            )
         case "modbus-rtu":
-            return make_modbus_link("modbus-rtu", modbus, gripper, robot.link_changed), (modbus.device, 0)
+            return make_modbus_link("modbus-rtu", modbus, gripper, robot.link_changed, robot.telegram), (
+                modbus.device,
+                0,
+            )
 
 
 @contextlib.asynccontextmanager

@@ -7,7 +7,9 @@ from collections.abc import Callable
 
 from slabcell.cell.cell import Cell
 from slabcell.service.links import LinkName, Links, LinkState
+from slabcell_drivers.robot.eki.link import EkiServer
 from slabcell_drivers.robot.link_events import Direction
+from slabcell_drivers.robot.modbus import ModbusTcpServer
 from slabcell_drivers.robot.protocol import Answer, Request, RobotLink
 from slabcell_drivers.robot.protocol import LinkState as RobotLinkState
 
@@ -27,6 +29,7 @@ class RobotWatch:
         self._links = links
         self._clock = clock
         self._address = ""
+        self._link: RobotLink | None = None
 
     async def handle(self, request: Request) -> Answer:
         """Answer a request: what a `RobotLink` needs."""
@@ -59,7 +62,19 @@ class RobotWatch:
     def meets_at(self, host: str, port: int, link: RobotLink) -> None:
         """Note where both meet, once that is known."""
         self._address = f" at {host}:{port}"
+        self._link = link
         self.link_changed(link.state)
+
+    @property
+    def refused_peers(self) -> int:
+        """How many connections were turned away, because they came from elsewhere or there were too many."""
+        match self._link:
+            case EkiServer():
+                return self._link.refused
+            case ModbusTcpServer():
+                return self._link.counters.refused_peers + self._link.counters.refused_limit
+            case _:
+                return 0
 
     @property
     def connected(self) -> bool:

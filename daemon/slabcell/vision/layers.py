@@ -104,9 +104,7 @@ class LayeredLocator:
     def merged(self, results: list[LocateResult], free: Collection[int]) -> LocateResult:
         """Return what the layers say together; ``results`` are in their order."""
         first = results[0]
-        found = [
-            part if result is first else part._replace(blob=None) for result in results for part in result.parts
-        ]
+        found = [part if result is first else part._replace(blob=None) for result in results for part in result.parts]
         kept, unsure = _told_apart(found, self.recipe)
         shapes = [_shape(part.outline_px) for part in found]
         refused = [*unsure]

@@ -64,11 +64,16 @@ def test_a_plc_that_polls_lays_the_pattern_with_the_light_switched_for_each_pict
                 end = await asyncio.wait_for(plc.run(), LIMIT_S)
                 port.close()
                 ledger = await asyncio.to_thread(cell.slabcell, "alarms", "list", "--json")
+                first = (await asyncio.to_thread(daemon.client.get, "/v1/cycles"))["cycles"][-1]
+                file = await asyncio.to_thread(daemon.client.fetch, f"/v1/cycles/{first['cycle']}/files/telegrams.json")
+                telegrams = json.loads(file.content)
             finally:
                 await asyncio.to_thread(running.__exit__, None, None, None)
-            return end, list(light.received), ledger
+            return end, list(light.received), ledger, telegrams
 
-    end, commands, _ = asyncio.run(job())
+    end, commands, _, telegrams = asyncio.run(job())
+    assert {item["direction"] for item in telegrams} == {"received", "sent"}
+    assert all(len(word) == 4 for item in telegrams for word in item["telegram"].split())
     assert (end.status, end.message) == ("done", "Job complete: every slot is filled")
     assert_laid(placements_of(cell))
     switched = [command for command in commands if command.startswith("RS")]

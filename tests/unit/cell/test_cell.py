@@ -433,7 +433,7 @@ async def test_each_cycle_is_kept_as_a_bundle(bench):
         assert archive.testzip() is None
         assert set(archive.namelist()) == {
             *("manifest.json", "frame.png", "recipe.json", "calibration.json", "result.json", "ledger.json"),
-            *("transcript.json", "cell.json", "telegrams.json"),
+            *("transcript.json", "cell.json", "telegrams.json", "overlay.json"),
         }
     with zipfile.ZipFile(paths[1]) as archive:
         assert {"as-built.json", "as-built.csv", "as-built.svg"} <= set(archive.namelist())

@@ -261,6 +261,7 @@ class StatusDocument(Document):
     calibration_created: str | None
     links: list[LinkDocument]
     robot: RobotDocument | None = Field(description="null until it has asked for something")
+    refused_peers: int = Field(description="connections to the robot's port that were turned away since the start")
     job: JobDocument | None
     cycle: CycleDocument | None = Field(description="the present cycle, or the last one")
     alarms: int = Field(description="how many alarms are shown")

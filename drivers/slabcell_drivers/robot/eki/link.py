@@ -57,6 +57,8 @@ class EkiServer:
         self._tasks: set[asyncio.Task[None]] = set()
         self.last_end: EndReason | None = None
         """Why the last connection ended."""
+        self.refused = 0
+        """How many connections were turned away."""
 
     @property
     def state(self) -> LinkState:
@@ -99,6 +101,7 @@ class EkiServer:
         host = str(writer.get_extra_info("peername")[0])
         answering, refusal = self._answering, self._refusal(host)
         if answering is None or refusal:
+            self.refused += 1
             _log.warning("eki.refused", host=host, reason=refusal)
             writer.transport.abort()
             return

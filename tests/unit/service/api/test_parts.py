@@ -1,6 +1,7 @@
 """Parts of the daemon that fail or come late: nothing is silent, and nothing ends for want of an address."""
 
 import asyncio
+import contextlib
 import errno
 from pathlib import Path
 
@@ -11,9 +12,11 @@ from slabcell.cell.ledger import LedgerError, LedgerFile
 from slabcell.cell.records import JobState
 from slabcell.errors import SlabcellError
 from slabcell.service import robot_link
+from slabcell.service.api.client import ApiClient
 from slabcell.service.daemon import _beside
 from slabcell.service.light_config import LightReport
 from slabcell.service.links import LinkName, Links, LinkState
+from slabcell.service.metrics import Metrics
 from slabcell.service.robot_watch import RobotWatch
 from slabcell_drivers.robot.eki.link import EkiServer
 
@@ -93,6 +96,24 @@ async def test_an_address_that_comes_later_is_waited_for_and_the_link_says_so(ap
         LinkState.DOWN,
         "192.0.2.1:54600 is not this PC's address yet: Cannot assign requested address",
     )
+
+
+async def test_peers_that_are_turned_away_are_counted_in_status_and_metrics(api, tmp_path):
+    link = EkiServer("127.0.0.1", 0, allowed_hosts=frozenset({"192.0.2.7"}), on_state=api.robot.link_changed)
+    await link.start(api.robot.handle)
+    api.robot.meets_at(*link.address, link)
+    for _ in range(2):
+        reader, writer = await asyncio.open_connection(*link.address)
+        with contextlib.suppress(ConnectionError):
+            assert await reader.read() == b""
+        writer.close()
+        with contextlib.suppress(ConnectionError):
+            await writer.wait_closed()
+    client = ApiClient(tmp_path / "api.sock")
+    assert (await asyncio.to_thread(client.get, "/v1/status"))["refused_peers"] == 2
+    text = Metrics(api, None).text().decode()
+    assert "slabcell_robot_peers_refused_total 2.0" in text
+    await link.stop()
 
 
 def test_a_light_is_among_the_links_of_a_cell_that_has_one(api_alarms):

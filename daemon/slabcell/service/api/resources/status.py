@@ -43,6 +43,7 @@ def status_of(context: ApiContext, job: JobDocument | None) -> StatusDocument:
         calibration_created=_created(context),
         links=[link_view(context.links, link) for link in context.links.all],
         robot=robot_view(context.robot),
+        refused_peers=context.robot.refused_peers,
         job=job,
         cycle=_last_cycle(context),
         alarms=len(shown),
