@@ -31,6 +31,8 @@ Mask = npt.NDArray[np.uint8]
 MIN_CONTRAST_SIGMA = 6.0
 # ... and by this many of 255 grey levels.
 MIN_CONTRAST = 8.0
+# A picture too noisy for that is looked at smoothed by a Gaussian of this width.
+SMOOTH_PX = 2.0
 # Share of the smaller population that may lie half way between the two before the light counts as uneven.
 MAX_VALLEY_SHARE = 0.10
 # The local threshold follows the light on a picture reduced by this factor.
@@ -113,16 +115,29 @@ def segment(
         above = (grey > threshold).astype(np.uint8) * np.uint8(255)
         light = _slabs_are_light(rim_of(above), 127.0, parameters.polarity)
         return _finish(Segmentation(text, picture, contrast, light=light, made=_side(above, light=light)), parameters)
-    needed = max(MIN_CONTRAST, MIN_CONTRAST_SIGMA * surveyed.noise)
+    needed, why = _needed(surveyed.noise), ""
+    if split is not None and contrast < needed and contrast >= MIN_CONTRAST:
+        # Too noisy pixel by pixel: the outline is found where neighbours agree, the edges are measured as they are.
+        smooth = _as_mask(cv2.GaussianBlur(picture, (0, 0), SMOOTH_PX))
+        again = engine().survey(smooth)
+        if again.split is not None and again.split.light - again.split.dark >= _needed(again.noise):
+            why = f" of the picture smoothed over {SMOOTH_PX:g} px, because its noise is {surveyed.noise:.1f}"
+            picture, surveyed, split, histogram = smooth, again, again.split, again.grey
+            contrast, needed = split.light - split.dark, _needed(again.noise)
     if split is None or contrast < needed:
         text = f"no slabs: light and dark differ by {contrast:.1f} of 255 grey levels, {needed:.1f} are needed"
         return Segmentation(f"{text} (noise {surveyed.noise:.1f})", picture, 0.0, NOTHING)
     light = _slabs_are_light(surveyed.rim, split.level, parameters.polarity)
     found, text = _threshold(picture, histogram, split, parameters, light=light)
-    text = f"{text}; slabs are {'light' if light else 'dark'}"
+    text = f"{text}{why}; slabs are {'light' if light else 'dark'}"
     if isinstance(found, np.ndarray):
         return _finish(Segmentation(text, picture, contrast, light=light, made=_side(found, light=light)), parameters)
     return _finish(Segmentation(text, picture, contrast, found, light), parameters)
+
+
+def _needed(noise: float) -> float:
+    """Return by how many grey levels light and dark must differ in a picture of so much noise."""
+    return max(MIN_CONTRAST, MIN_CONTRAST_SIGMA * noise)
 
 
 def _threshold(

@@ -15,6 +15,8 @@ __all__ = ["broken", "chipped", "touching"]
 
 Points = npt.NDArray[np.float64]
 
+GRID_MM = 1e-3
+
 
 def chipped(slab: Slab, random: np.random.Generator, *, size_mm: float) -> Slab:
     """Return the slab with a corner broken off, up to ``size_mm`` along each side; its nominal shape stays.
@@ -81,7 +83,10 @@ def touching(slabs: Sequence[Slab], mover: int, fixed: int, *, gap_mm: float = 0
 
 
 def _with_body(slab: Slab, rest: Area) -> Slab:
-    parts = [part for part in shapely.get_parts(rest) if isinstance(part, shapely.Polygon)]
+    # On a grid of a micrometre, so that no corners are left which a rotation's rounding turns into a crossing.
+    parts = [
+        part for part in shapely.get_parts(shapely.set_precision(rest, GRID_MM)) if isinstance(part, shapely.Polygon)
+    ]
     largest = max(parts, key=lambda part: part.area)
     if largest.area < 0.5 * shapely.Polygon(slab.body).area:
         msg = f"slab {slab.number} would lose more than half of its area"

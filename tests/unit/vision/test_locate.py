@@ -140,6 +140,19 @@ def test_a_colour_picture_is_located_in_grey():
     assert len(locate(np.dstack([PICTURE] * 3), CAMERA, PRODUCT).parts) == 5
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_slabs_in_strong_noise_are_found_on_a_smoothed_picture_and_measured_on_the_raw_one(seed: int):
+    result = locate(render(CAMERA, OUTLINES, noise=30.0, seed=seed), CAMERA, PRODUCT)
+    assert "smoothed" in result.segmentation
+    assert [part.slot for part in result.parts] == [0, 1, 2, 3, 4]
+    for part in result.parts:
+        centre = PRODUCT.template.slots[part.slot].centroid
+        error = part.table_to_assembly.inverse().apply(centre) - MOTIONS[part.slot].apply(centre)
+        assert np.hypot(*error) < 0.2  # mm, at 0.5 mm a pixel
+        assert abs(error[0]) < 5.0 * part.sigma.x_mm
+        assert abs(error[1]) < 5.0 * part.sigma.y_mm
+
+
 @pytest.mark.parametrize(
     "picture",
     [
