@@ -18,6 +18,7 @@ import sys
 import tempfile
 import threading
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -56,7 +57,10 @@ def fill(folder: Path, cycles: int) -> None:
             pattern = dict(zip(columns, first, strict=True))
             each = 1 if table == "jobs" else 5
             lines = (
-                [{**pattern, key: FIRST + index, "job_id": FIRST + index // each}[name] for name in columns]
+                [
+                    {**pattern, key: FIRST + index, "job_id": FIRST + index // each, "slot": index % each}[name]
+                    for name in columns
+                ]
                 for index in range(cycles // 2 * each)
             )
             marks = ", ".join("?" * len(columns))
@@ -122,7 +126,10 @@ class Viewer(threading.Thread):
         super().__init__(daemon=True)
         cookie = "; ".join(f"{name}={value}" for name, value in client.cookies.items())
         address = f"ws://{urlsplit(client.base).netloc}/live"
-        self._socket = connect(address, additional_headers={"Cookie": cookie}, origin=client.base, max_size=None)
+        self._open = ExitStack()
+        self._socket = self._open.enter_context(
+            connect(address, additional_headers={"Cookie": cookie}, origin=client.base, max_size=None)
+        )
         self.pictures = 0
 
     def run(self) -> None:
@@ -135,7 +142,7 @@ class Viewer(threading.Thread):
 
     def end(self) -> None:
         """Close the page."""
-        self._socket.close()
+        self._open.close()
         self.join()
 
 
