@@ -103,7 +103,7 @@ def bundle_bytes(cycle: CycleRecord, pixels: Pixels | None, context: BundleConte
     files = {
         **context.files,
         "ledger.json": _json({"schema": "slabcell.ledger/1", **rows}),
-        "transcript.json": _json(cycle.transcript),
+        "transcript.json": _json(_transcript(cycle)),
         "telegrams.json": _json(cycle.telegrams),
     }
     if cycle.result is not None:
@@ -160,6 +160,11 @@ def bundle_bytes(cycle: CycleRecord, pixels: Pixels | None, context: BundleConte
             how = zipfile.ZIP_STORED if name.endswith(".png") else zipfile.ZIP_DEFLATED
             archive.writestr(name, content, compress_type=how)
     return stream.getvalue()
+
+
+def _transcript(cycle: CycleRecord) -> list[dict[str, object]]:
+    """Return requests and answers as JSON knows them; made here, because the robot waits where they are noted."""
+    return [{"request": asdict(request), "answer": asdict(answer)} for request, answer in cycle.transcript]
 
 
 def _finite(values: dict[str, object]) -> dict[str, object]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 from slabcell.cell.bundle import BundleContext
 from slabcell.cell.bundle_store import BundleWriter
@@ -99,7 +99,7 @@ class Cycles:
             touched = {id(item): item for item in (before, self.present, *self._ended) if item is not None}
             for cycle in touched.values():
                 if len(cycle.transcript) < KEPT_EXCHANGES:
-                    cycle.transcript.append({"request": asdict(request), "answer": asdict(answer)})
+                    cycle.transcript.append((request, answer))
         if self._ended:
             self._sent.clear()
         for cycle in self._ended:

@@ -12,6 +12,7 @@ from slabcell.cell.records import Job, OfferRecord, PlacementRecord
 from slabcell.cell.states import CellState
 from slabcell.vision.result import LocateResult
 from slabcell_drivers.camera.protocol import ImageFrame
+from slabcell_drivers.robot.protocol import Answer, Request
 
 __all__ = [
     "AlarmCame",
@@ -58,7 +59,7 @@ class CycleRecord:
     free_slots: tuple[int, ...] = ()
     laid_slots: tuple[int, ...] = ()
     correction_mm: tuple[float, float] = (0.0, 0.0)
-    transcript: list[dict[str, object]] = field(default_factory=list[dict[str, object]])
+    transcript: list[tuple[Request, Answer]] = field(default_factory=list[tuple[Request, Answer]])
     telegrams: list[dict[str, object]] = field(default_factory=list[dict[str, object]])
     number: int = 0
     frame_id: int | None = None
