@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -40,7 +40,7 @@ def wait_for(what: Callable[[], object], why: str) -> None:
 class Child:
     """A process that says lines."""
 
-    def __init__(self, words: list[str], log: Path, **environment: str) -> None:
+    def __init__(self, words: list[str], log: Path, *, pass_fds: Sequence[int] = (), **environment: str) -> None:
         self.log = log
         self._log = log.open("a")
         self._read = b""
@@ -49,6 +49,7 @@ class Child:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,
+            pass_fds=tuple(pass_fds),
             env={**os.environ, "PYTHONUNBUFFERED": "1", **environment},
         )
 
