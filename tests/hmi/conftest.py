@@ -107,6 +107,18 @@ class Cell:
         self.tell("strew")
         assert self.tell("lay").startswith("done")
 
+    def kept_cycle(self) -> int:
+        """Return the number of the newest cycle that found slabs and is kept, which it is a little later."""
+        found: list[int] = []
+
+        def look() -> bool:
+            cycles = self.api.get("/v1/cycles", limit=30)["cycles"]
+            found[:] = [item["cycle"] for item in cycles if item["bundle"] and item["found"]]
+            return bool(found)
+
+        wait_for(look, "a cycle that is kept")
+        return found[0]
+
 
 @dataclass
 class Answer:

@@ -92,10 +92,11 @@ def test_a_viewer_finds_the_controls_off(hmi: Server, browser: Browser) -> None:
             expect(button).to_be_disabled()
 
 
-def test_a_cycle_of_the_history_is_shown_with_its_picture(hmi: Server, browser: Browser) -> None:
+def test_a_cycle_of_the_history_is_shown_with_its_picture(cell: Cell, hmi: Server, browser: Browser) -> None:
+    number = cell.kept_cycle()
     with window(browser, hmi, "viewer") as page:
         page.goto("/history")
-        page.locator("#rows .pick").nth(1).click()
+        page.locator("#rows").get_by_role("link", name=str(number), exact=True).click()
         expect(page.locator("#detail slab-picture .overlay g").first).to_be_attached()
         page.get_by_label("Failed only").check()
         expect(page.locator("#rows")).to_contain_text(re.compile(r"No such cycle|✗"))
