@@ -15,7 +15,8 @@ __all__ = ["broken", "chipped", "touching"]
 
 Points = npt.NDArray[np.float64]
 
-GRID_MM = 1e-3
+# Corners nearer to each other than this are one.
+SAME_MM = 1e-6
 
 
 def chipped(slab: Slab, random: np.random.Generator, *, size_mm: float) -> Slab:
@@ -83,15 +84,14 @@ def touching(slabs: Sequence[Slab], mover: int, fixed: int, *, gap_mm: float = 0
 
 
 def _with_body(slab: Slab, rest: Area) -> Slab:
-    # On a grid of a micrometre, so that no corners are left which a rotation's rounding turns into a crossing.
-    parts = [
-        part for part in shapely.get_parts(shapely.set_precision(rest, GRID_MM)) if isinstance(part, shapely.Polygon)
-    ]
+    parts = [part for part in shapely.get_parts(rest) if isinstance(part, shapely.Polygon)]
     largest = max(parts, key=lambda part: part.area)
     if largest.area < 0.5 * shapely.Polygon(slab.body).area:
         msg = f"slab {slab.number} would lose more than half of its area"
         raise ValueError(msg)
     body = np.asarray(shapely.orient_polygons(largest).exterior.coords)[:-1]
+    # Two corners in one place cross each other once a rotation has rounded them.
+    body = body[np.hypot(*(body - np.roll(body, 1, axis=0)).T) > SAME_MM]
     nominal = slab.nominal if len(slab.nominal) else slab.body
     return replace(slab, body=body, nominal=nominal)
 
