@@ -242,8 +242,7 @@ def hmi_server(socket: Path, folder: Path, **environment: str) -> Iterator[Serve
         line = child.line()
         assert line.startswith("open "), child.log.read_text()
         base = line.removeprefix("open ").rstrip("/")
-        token = "" if (state / "made").exists() else child.line().rpartition(" ")[2]
-        yield Server(base, state, child, token)
+        yield Server(base, state, child, child.line().rpartition(" ")[2])
     finally:
         child.end()
 
