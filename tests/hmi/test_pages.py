@@ -95,6 +95,33 @@ def test_a_picture_is_taken_on_request_and_said_what_was_seen(hmi: Server, brows
         wait_for(asked, "a picture on request")
 
 
+def test_a_button_is_not_replaced_while_it_is_pressed_nor_for_nothing(hmi: Server, browser: Browser) -> None:
+    with window(browser, hmi, "operator") as page:
+        page.goto("/run")
+        stop = page.get_by_role("button", name="Stop", exact=True)
+        expect(stop).to_be_enabled()
+
+        def news() -> None:
+            with page.expect_response(lambda response: response.url.endswith("/run/buttons")):
+                page.evaluate("document.body.dispatchEvent(new CustomEvent('slab:state'))")
+
+        def marked() -> int:
+            return page.locator(".controls button[data-mark]").count()
+
+        news()  # what was served with the page is put in once
+        stop.evaluate("button => button.dataset.mark = 'seen'")
+        news()
+        expect(page.locator(".controls button[data-mark]")).to_have_count(1)
+        stop.hover()
+        page.mouse.down()
+        news()
+        assert marked() == 1
+        page.mouse.up()
+        expect(page.locator("header .cell-state")).to_contain_text("Halted")
+        page.get_by_role("button", name="Start", exact=True).click()
+        expect(page.locator("header .cell-state")).to_contain_text("Ready")
+
+
 def test_a_viewer_finds_the_controls_off(hmi: Server, browser: Browser) -> None:
     with window(browser, hmi, "viewer") as page:
         page.goto("/run")
