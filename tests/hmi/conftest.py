@@ -275,9 +275,12 @@ def hmi(cell: Cell, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server
         yield server
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def browser() -> Iterator[Any]:
-    """One Chromium for all tests of a worker."""
+    """One Chromium for all tests of the pages in a worker.
+
+    It ends with them: Playwright's loop runs in this thread as long as there is one, and lets no other loop run here.
+    """
     from .browser import opened_browser  # only tests that need it
 
     with opened_browser() as running:
