@@ -10,7 +10,8 @@ from rich.console import Console
 from rich.table import Table
 
 from slabcell.calibration import parse_pose
-from slabcell.cli.talk import AsJson, Socket, client, print_json, read_file
+from slabcell.cli.files import read_file
+from slabcell.cli.talk import AsJson, Socket, client, print_json
 from slabcell.cli.vision import chosen_picture
 from slabcell.errors import UsageError
 

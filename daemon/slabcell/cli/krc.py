@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from slabcell.cli.files import write_file
 from slabcell.errors import SlabcellError, UsageError
 from slabcell_drivers.krc import KrlError, RunResult, SoftwareKrc, TraceEvent, read_project
 from slabcell_drivers.krc.path_picture import PathPen, draw_path
@@ -89,10 +90,10 @@ def run(
         operator.gives_up = krc.cancel
         result = _run(krc, program, timeout_s)
         if picture is not None and pen is not None:
-            _write(picture, _drawn(pen, program))
+            write_file(picture, _drawn(pen, program))
         if keep is not None:
             for name, content in krc.data_files().items():
-                _write(keep / name, content)
+                write_file(keep / name, content)
         _report(krc, result, recorder, as_json=as_json)
     if operator.problem:
         raise UsageError(operator.problem)
@@ -192,15 +193,6 @@ def _assign(krc: SoftwareKrc, assignment: str) -> None:
     except KrlError as error:
         msg = f"--set {assignment}: {error.text}"
         raise UsageError(msg) from error
-
-
-def _write(path: Path, content: bytes) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
-    except OSError as error:
-        msg = f"{path}: cannot be written: {error.strerror}"
-        raise SlabcellError(msg) from error
 
 
 def _drawn(pen: PathPen, title: str) -> bytes:

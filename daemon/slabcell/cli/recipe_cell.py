@@ -9,7 +9,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from slabcell.cli.talk import AsJson, Socket, client, print_json, read_file
+from slabcell.cli.files import read_file
+from slabcell.cli.talk import AsJson, Socket, client, print_json
 from slabcell.service.api.client import ApiClient
 
 __all__ = ["activate_running", "add_running_verbs", "path_of", "verify_running"]

@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.console import Console
+from rich.table import Table
 
-from slabcell.errors import SlabcellError, UsageError
 from slabcell.service.api.client import ApiClient
 
-__all__ = ["AsJson", "Socket", "client", "print_json", "read_file", "seconds", "write_file"]
+__all__ = ["AsJson", "Socket", "client", "print_json", "print_parts", "seconds"]
 
 Socket = Annotated[
     Path | None,
@@ -33,6 +34,18 @@ def print_json(document: Mapping[str, Any]) -> None:
     typer.echo(json.dumps(document))
 
 
+def print_parts(located: Mapping[str, Any]) -> None:
+    """Print the parts of a `slabcell.locate/1` document as a table, and below it what was refused."""
+    table = Table("slot", "score", "residual mm", "pick x mm", "pick y mm", "pick a °")
+    for part in located["parts"]:
+        pick = part["pick"]
+        numbers = (part["score"], part["residual_mm"], pick["x_mm"], pick["y_mm"], pick["a_deg"])
+        table.add_row(str(part["slot"]), *(f"{number:.3f}" for number in numbers))
+    Console().print(table)
+    for blob in located["rejected"]:
+        typer.echo(f"refused at {blob['image']['u']:.0f}, {blob['image']['v']:.0f}: {blob['reason']}: {blob['detail']}")
+
+
 def seconds(duration_s: float) -> str:
     """Return a duration as people say it."""
     if duration_s < 60:
@@ -40,22 +53,3 @@ def seconds(duration_s: float) -> str:
     if duration_s < 3600:
         return f"{duration_s / 60:.0f} min"
     return f"{duration_s / 3600:.1f} h"
-
-
-def read_file(path: Path) -> bytes:
-    """Return what a file holds.  Raises UsageError."""
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        msg = f"{path}: cannot be read: {error.strerror}"
-        raise UsageError(msg) from error
-
-
-def write_file(path: Path, content: bytes) -> None:
-    """Write a file, and the folder that it is in.  Raises SlabcellError."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
-    except OSError as error:
-        msg = f"{path}: cannot be written: {error.strerror}"
-        raise SlabcellError(msg) from error

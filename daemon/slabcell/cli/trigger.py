@@ -6,7 +6,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from slabcell.cli.talk import AsJson, Socket, client, print_json
+from slabcell.cli.talk import AsJson, Socket, client, print_json, print_parts
 
 __all__ = ["trigger_command", "verify_command"]
 
@@ -23,14 +23,7 @@ def trigger_command(socket: Socket = None, *, as_json: AsJson = False) -> None:
         print_json({"schema": "slabcell.trigger/1", "cycle": cycle, "frame": frame})
         return
     overlay: dict[str, Any] = frame["overlay"] or {"parts": [], "rejected": [], "empty_slots": []}
-    table = Table("slot", "score", "residual mm", "pick x mm", "pick y mm", "pick a °")
-    for part in overlay["parts"]:
-        pick = part["pick"]
-        numbers = (part["score"], part["residual_mm"], pick["x_mm"], pick["y_mm"], pick["a_deg"])
-        table.add_row(str(part["slot"]), *(f"{number:.3f}" for number in numbers))
-    Console().print(table)
-    for blob in overlay["rejected"]:
-        typer.echo(f"refused at {blob['image']['u']:.0f}, {blob['image']['v']:.0f}: {blob['reason']}: {blob['detail']}")
+    print_parts(overlay)
     for item in cycle["refused"]:
         typer.echo(f"slot {item['slot']} not planned [{item['number']}]: {item['detail']}")
     if overlay["empty_slots"]:

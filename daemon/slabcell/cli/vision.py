@@ -4,10 +4,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.table import Table
 
-from slabcell.cli.talk import AsJson, Socket, client, print_json, read_file, write_file
+from slabcell.cli.files import read_file, write_file
+from slabcell.cli.talk import AsJson, Socket, client, print_json, print_parts
 from slabcell.service.api.client import ApiClient
 
 __all__ = ["chosen_picture", "vision_app"]
@@ -82,14 +81,7 @@ def _show(done: dict[str, Any]) -> None:
     if located is None:
         typer.echo(f"{done['picture']}: refused: {done['refusal']}")
         return
-    table = Table("slot", "score", "residual mm", "pick x mm", "pick y mm", "pick a °")
-    for part in located["parts"]:
-        pick = part["pick"]
-        numbers = (part["score"], part["residual_mm"], pick["x_mm"], pick["y_mm"], pick["a_deg"])
-        table.add_row(str(part["slot"]), *(f"{number:.3f}" for number in numbers))
-    Console().print(table)
-    for blob in located["rejected"]:
-        typer.echo(f"refused at {blob['image']['u']:.0f}, {blob['image']['v']:.0f}: {blob['reason']}: {blob['detail']}")
+    print_parts(located)
     typer.echo(f"{done['recipe']}: {done['segmentation']}")
     stages = ", ".join(f"{name} {value:.1f}" for name, value in located["timing_ms"].items())
     typer.echo(f"milliseconds on the bench, at low priority: {stages}")

@@ -13,19 +13,19 @@ import threading
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import Final, cast
+from typing import Final
 
 from slabcell.catalogue import Fault
 from slabcell.errors import RecipeError, SlabcellError
 from slabcell.recipe import load_recipe
 from slabcell.service.atomic import write_atomically
 from slabcell.service.candidate import Candidate
+from slabcell.service.choice import read_choice
 from slabcell.service.recipe_text import to_toml
 
 __all__ = ["RecipeEntry", "RecipeShelf", "version_of"]
 
 SCHEMA: Final = "slabcell.active-recipe/1"
-MAX_BYTES: Final = 64 << 10
 MAX_RECIPES: Final = 500
 
 
@@ -58,18 +58,12 @@ class RecipeShelf:
     def active(self) -> Path:
         """The file of the active recipe.  Raises RecipeError if the choice cannot be read, or is gone."""
         try:
-            with self._choice.open("rb") as stream:
-                raw = stream.read(MAX_BYTES)
-        except FileNotFoundError:
-            return self._configured
+            name = read_choice(self._choice, SCHEMA, "recipe")
         except OSError as error:
             msg = f"{self._choice}: cannot be read: {error.strerror}"
             raise RecipeError(msg, number=Fault.RECIPE_MISSING) from error
-        try:
-            document = cast("dict[str, object]", json.loads(raw))
-            name = str(document["recipe"]) if document["schema"] == SCHEMA else ""
-        except (ValueError, KeyError, TypeError):  # damaged: said below, by the file's name
-            name = ""
+        if name is None:
+            return self._configured
         path = self._find(name)
         if path is None:
             said = f"names recipe {name!r:.60}, which is not there" if name else "is damaged"

@@ -18,13 +18,13 @@ from slabcell.calibration import Calibration, calibration_from_document, calibra
 from slabcell.catalogue import Fault
 from slabcell.errors import CalibrationError
 from slabcell.service.atomic import write_atomically
+from slabcell.service.choice import read_choice
 
 __all__ = ["CONFIGURED", "CalibrationEntry", "CalibrationShelf"]
 
 SCHEMA: Final = "slabcell.active-calibration/1"
 CONFIGURED: Final = "configured"
 """What the calibration of the configuration is called."""
-MAX_BYTES: Final = 64 << 10
 MAX_CALIBRATIONS: Final = 500
 
 
@@ -51,18 +51,12 @@ class CalibrationShelf:
     def chosen(self) -> str:
         """The name of the calibration in use.  Raises CalibrationError if the choice cannot be read, or is gone."""
         try:
-            with self._choice.open("rb") as stream:
-                raw = stream.read(MAX_BYTES)
-        except FileNotFoundError:
-            return CONFIGURED
+            name = read_choice(self._choice, SCHEMA, "calibration")
         except OSError as error:
             msg = f"{self._choice}: cannot be read: {error.strerror}"
             raise CalibrationError(msg, number=Fault.CALIBRATION_MISSING) from error
-        try:
-            document = cast("dict[str, object]", json.loads(raw))
-            name = str(document["calibration"]) if document["schema"] == SCHEMA else ""
-        except (ValueError, KeyError, TypeError):  # damaged: said below, by the file's name
-            name = ""
+        if name is None:
+            return CONFIGURED
         if self._find(name) is None:
             said = f"names calibration {name!r:.60}, which is not there" if name else "is damaged"
             msg = f"{self._choice}: {said}; delete this file to go by the configuration, or restore the calibration"

@@ -66,17 +66,6 @@ class ForwardTable:
     pitch_mm: float
     flat: bool
 
-    def holds(self, points: Points, around_mm: npt.NDArray[np.float64] | float) -> bool:
-        """Return whether it reaches so far around each of these points (n, 2)."""
-        if len(points) == 0:
-            return True
-        rows, columns, _ = self.pixels.shape
-        x, y = points.T
-        low = min(float((x - around_mm).min()) - self.x_mm, float((y - around_mm).min()) - self.y_mm)
-        right = float((x + around_mm).max()) - self.x_mm - self.pitch_mm * (columns - 1)
-        top = float((y + around_mm).max()) - self.y_mm - self.pitch_mm * (rows - 1)
-        return low >= 0.0 and right <= 0.0 and top <= 0.0
-
 
 @dataclass(frozen=True, eq=False)
 class PlaneView:
