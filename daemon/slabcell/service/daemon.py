@@ -47,6 +47,7 @@ from slabcell.service.light_config import LightReport, with_light
 from slabcell.service.links import Links
 from slabcell.service.metrics import Metrics
 from slabcell.service.notify import notify, watchdog_interval_s
+from slabcell.service.picture_sets import PictureSets
 from slabcell.service.pictures import Pictures
 from slabcell.service.robot_link import serve_robot
 from slabcell.service.robot_watch import RobotWatch
@@ -76,7 +77,6 @@ async def run_daemon(path: Path, *, ready: Callable[[tuple[str, int]], None] | N
     stopping, reload = asyncio.Event(), asyncio.Event()
     with _signals({signal.SIGTERM: stopping, signal.SIGINT: stopping, signal.SIGHUP: reload}), InstanceLock(folder):
         async with running_cell(config, parts, folder) as (context, address, ledger):
-            context.recipes, context.calibrations = shelf, calibrations
             context.config_path = path
             recipe = context.cell.recipe.name
             _log.info("ready", cell=config.name, recipe=recipe, robot=f"{address[0]}:{address[1]}")
@@ -119,7 +119,8 @@ async def running_cell(
 ) -> AsyncGenerator[tuple[ApiContext, tuple[str, int], Ledger]]:
     """Give the running cell, where the robot meets it, and its ledger; everything is closed in the end.
 
-    Another ``camera`` than that of the configuration is one that is simulated.
+    Another ``camera`` than that of the configuration is one that is simulated.  ``parts`` may be of another recipe and
+    calibration than the configuration names: what was activated last.
     """
     async with contextlib.AsyncExitStack() as stack:
         history = await History.open(folder / "history.sqlite")
@@ -140,7 +141,9 @@ async def running_cell(
         robot = RobotWatch(cell, links)
         bundles = BundleShelf(folder / "bundles")
         background = Background(lambda task: feed.add("task", task_view(task, result=False).model_dump(mode="json")))
-        studio = Studio(Workbench(), Pictures(frames, bundles, history), background)
+        recipes = RecipeShelf(config.recipe, folder)
+        pictures = Pictures(frames, bundles, history, recipes, PictureSets(folder / "pictures"))
+        studio = Studio(Workbench(), pictures, background)
         stack.push_async_callback(studio.close)
         stack.callback(cell.subscribe(studio.bench.see))
         context = ApiContext(
@@ -157,6 +160,8 @@ async def running_cell(
             bundles=bundles,
             studio=studio,
             tell_config=lambda content: feed.add("config", content),
+            recipes=recipes,
+            calibrations=CalibrationShelf(config.calibration, folder),
         )
         metrics = Metrics(context, camera)
         context.metrics = metrics.text

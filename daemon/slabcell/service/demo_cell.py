@@ -17,12 +17,12 @@ from typing import Any
 import structlog
 
 from slabcell.calibration import Calibration, save_calibration
-from slabcell.service.active_recipe import RecipeShelf
+from slabcell.service.api.context import ApiContext
 from slabcell.service.builder import CellParts, cell_settings
-from slabcell.service.calibrations import CalibrationShelf
 from slabcell.service.config import CellConfig
 from slabcell.service.daemon import running_cell
 from slabcell.service.demo import Progress, demo_folder, read_demo_parts
+from slabcell.service.demo_pictures import grade_newest, store_pictures
 from slabcell.service.simulated import BoardPoses, SimulatedCell, calibrate_from_boards
 from slabcell_drivers.krc import RunResult, SoftwareKrc
 
@@ -52,9 +52,15 @@ class DemoCell:
     """A simulated cell that lives, and its robot, which lays a template when it is told to."""
 
     def __init__(
-        self, simulated: SimulatedCell, socket: Path, address: tuple[str, int], options: DemoCellOptions
+        self,
+        simulated: SimulatedCell,
+        context: ApiContext,
+        socket: Path,
+        address: tuple[str, int],
+        options: DemoCellOptions,
     ) -> None:
         self.simulated = simulated
+        self.context = context
         self.socket = socket
         """Of the control API."""
         self._address = address
@@ -100,15 +106,15 @@ async def open_demo_cell(options: DemoCellOptions, progress: Progress) -> AsyncG
         )
     save_calibration(out / "calibration.json", calibration)
     socket = out / "api.sock"
-    config = parts.config.model_copy(update={"api": parts.config.api.model_copy(update={"socket": socket})})
+    files = {"api": parts.config.api.model_copy(update={"socket": socket}), "calibration": out / "calibration.json"}
+    config = parts.config.model_copy(update=files)
     cell_parts = CellParts(calibration, parts.recipe, parts.arm, cell_settings(config))
     config_file = out / "cell.toml"
     config_file.write_text(config_text(config, out), encoding="utf-8")
     async with running_cell(config, cell_parts, out, camera=simulated.camera) as (context, address, _):
         context.config_path = config_file
-        context.recipes = RecipeShelf(config.recipe, out)
-        context.calibrations = CalibrationShelf(out / "calibration.json", out)
-        yield DemoCell(simulated, socket, address, options)
+        await asyncio.to_thread(store_pictures, context.studio.pictures.sets, parts.scene, options.seed)
+        yield DemoCell(simulated, context, socket, address, options)
 
 
 async def run_demo_cell(
@@ -131,6 +137,7 @@ async def _lay_on(cell: DemoCell, progress: Progress) -> None:
         _log.info("robot program ended", status=result.status, message=result.message)
         progress.advance(f"robot program: {result.status} {result.message}".rstrip())
         if result.status == "done":
+            await grade_newest(cell.context)
             await asyncio.sleep(BETWEEN_JOBS_S)
             cell.strew()
         else:

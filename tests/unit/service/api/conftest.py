@@ -26,6 +26,7 @@ from slabcell.service.frames import FrameStore
 from slabcell.service.history import History
 from slabcell.service.ledger_view import LedgerView
 from slabcell.service.links import Links
+from slabcell.service.picture_sets import PictureSets
 from slabcell.service.pictures import Pictures
 from slabcell.service.robot_watch import RobotWatch
 from slabcell.service.studio import Studio
@@ -68,7 +69,9 @@ async def api(tmp_path: Path) -> AsyncIterator[ApiContext]:
         unsubscribe = cell.subscribe(feed.see)
         view = LedgerView(tmp_path / "ledger.sqlite")
         bundles = BundleShelf(tmp_path / "bundles")
-        studio = Studio(Workbench(), Pictures(frames, bundles, history))
+        shelf = RecipeShelf(tmp_path / "recipes" / "squares.toml", tmp_path)
+        pictures = Pictures(frames, bundles, history, shelf, PictureSets(tmp_path / "pictures"))
+        studio = Studio(Workbench(), pictures)
         recipes = tmp_path / "recipes"
         recipes.mkdir()
         (recipes / "squares.csv").write_text("0,0,30,0,30,30,0,30\n")
@@ -88,7 +91,7 @@ async def api(tmp_path: Path) -> AsyncIterator[ApiContext]:
             frames=frames,
             bundles=bundles,
             studio=studio,
-            recipes=RecipeShelf(recipes / "squares.toml", tmp_path),
+            recipes=shelf,
             calibrations=calibrations,
         )
         path = tmp_path / "api.sock"

@@ -98,7 +98,11 @@ async def test_a_picture_that_is_refused_is_a_preview_with_the_reason(client, up
         ({"picture": "cycle:3"}, "no cycle 3"),
         ({"picture": "latest"}, "no picture was taken"),
         ({"picture": "upload:0000"}, "was not uploaded"),
-        ({"picture": "/etc/passwd"}, "say latest, cycle:NUMBER or upload:ID"),
+        ({"picture": "/etc/passwd"}, "say latest, cycle:NUMBER, set:SET/FILE"),
+        ({"picture": "set:winter/x.png"}, "no picture 'x.png' in set 'winter'"),
+        ({"picture": "set:../recipes/squares.toml"}, "no picture"),
+        ({"picture": "graded:squares/none.zip"}, "no graded picture 'none.zip' of recipe 'squares'"),
+        ({"picture": "graded:../x/none.zip"}, "no graded picture"),
         (
             {"parameters": {"segmentation": {"method": "promptable", "promptable": {"encoder": "/etc/shadow"}}}},
             "is not one of the recipe this is based on",
