@@ -34,7 +34,7 @@ VERBS: Final[dict[str, tuple[str, str, str]]] = {
     "ledger": ("slabcell.cli.ledger", "ledger_app", "Show, export and settle the record of offers."),
     "install": ("slabcell.cli.install", "install_command", "Lay this version out on the cell PC, with its service."),
     "doctor": ("slabcell.cli.doctor", "doctor_command", "Say what is wrong with this cell and what to do."),
-    "vision": ("slabcell.cli.vision", "vision_app", "Try parameters of the vision on the running cell."),
+    "vision": ("slabcell.cli.vision_sets", "vision_app", "Try parameters of the vision on the running cell."),
     "recipe": ("slabcell.cli.recipe", "recipe_app", "Verify a recipe on graded pictures, and make it the active one."),
     "task": ("slabcell.cli.tasks", "task_app", "Show what runs beside the running cell, and end it."),
     "replay": ("slabcell.cli.replay", "replay_command", "Run recorded cycles again and compare."),

@@ -1,4 +1,4 @@
-"""The verbs of `slabcell recipe` that talk to a running cell: list, show, schema, save."""
+"""The verbs of `slabcell recipe` that talk to a running cell: list, show, schema, diff, save."""
 
 import json
 from pathlib import Path
@@ -71,6 +71,31 @@ def save_command(
         typer.echo(document["name"])
 
 
+def diff_command(
+    name: Name,
+    file: Annotated[
+        Path | None, typer.Argument(metavar="FILE", help="Parameters over those of NAME, as a recipe file has them.")
+    ] = None,
+    socket: Socket = None,
+    *,
+    as_json: AsJson = False,
+) -> None:
+    """Say in what a recipe, or parameters over it, differ from the active recipe of the running cell."""
+    body: dict[str, Any] = {"base": name}
+    if file is not None:
+        body["toml"] = read_file(file).decode("utf-8", "replace")
+    document = client(socket).post("/v1/recipes/compare", body)
+    if as_json:
+        print_json(document)
+        return
+    if document["template_changed"]:
+        typer.echo("the template is another one")
+    table = Table("parameter", document["active"], name if file is None else str(file), "unit")
+    for item in document["changes"]:
+        table.add_row(item["key"], json.dumps(item["active"]), json.dumps(item["candidate"]), item["unit"])
+    Console().print(table)
+
+
 def verify_running(api: ApiClient, name: str) -> dict[str, Any]:
     """Have the running cell run the graded set of one of its recipes; return what came of it."""
     return api.follow(api.post(path_of(name, "verify")))
@@ -86,4 +111,5 @@ def add_running_verbs(app: typer.Typer) -> None:
     app.command("list")(list_command)
     app.command("show")(show_command)
     app.command("schema")(schema_command)
+    app.command("diff")(diff_command)
     app.command("save")(save_command)

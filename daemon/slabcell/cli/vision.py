@@ -9,13 +9,24 @@ from slabcell.cli.files import read_file, write_file
 from slabcell.cli.talk import AsJson, Socket, client, print_json, print_parts
 from slabcell.service.api.client import ApiClient
 
-__all__ = ["chosen_picture", "vision_app"]
+__all__ = ["Base", "Everywhere", "PictureName", "RecipeFile", "candidate", "chosen_picture", "vision_app"]
 
 vision_app = typer.Typer(no_args_is_help=True)
 
 PictureName = Annotated[
-    str, typer.Option("--picture", metavar="PICTURE", help="latest, cycle:NUMBER, or a PNG, JPEG or TIFF file.")
+    str,
+    typer.Option(
+        "--picture",
+        metavar="PICTURE",
+        help="live (taken now), latest, cycle:NUMBER, set:SET/FILE, graded:RECIPE/FILE, or a PNG, JPEG or TIFF file.",
+    ),
 ]
+RecipeFile = Annotated[
+    Path | None, typer.Option("--recipe", metavar="FILE", help="Parameters to try, as a recipe file has them.")
+]
+Base = Annotated[str | None, typer.Option("--base", metavar="NAME", help="The cell's recipe that they are over.")]
+Everywhere = Annotated[bool, typer.Option("--everywhere", help="Look beyond the pick area.")]
+KEPT = ("cycle:", "upload:", "set:", "graded:")
 
 
 @vision_app.callback()
@@ -25,19 +36,15 @@ def _group() -> None:
 
 @vision_app.command("preview")
 def preview_command(
-    recipe: Annotated[
-        Path | None, typer.Option("--recipe", metavar="FILE", help="Parameters to try, as a recipe file has them.")
-    ] = None,
-    base: Annotated[
-        str | None, typer.Option("--base", metavar="NAME", help="The cell's recipe that they are over.")
-    ] = None,
+    recipe: RecipeFile = None,
+    base: Base = None,
     picture: PictureName = "latest",
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Write what the vision passed by into this folder.")
     ] = None,
     socket: Socket = None,
     *,
-    everywhere: Annotated[bool, typer.Option("--everywhere", help="Look beyond the pick area.")] = False,
+    everywhere: Everywhere = False,
     as_json: AsJson = False,
 ) -> None:
     """Run the vision on a picture, with parameters that are not active.  Nothing changes in the cell.
@@ -45,9 +52,7 @@ def preview_command(
     Exit code 1 if the picture is refused.
     """
     api = client(socket)
-    body: dict[str, Any] = {"picture": chosen_picture(api, picture), "everywhere": everywhere, "base": base}
-    if recipe is not None:
-        body["toml"] = read_file(recipe).decode("utf-8", "replace")
+    body = {**candidate(recipe, base), "picture": chosen_picture(api, picture), "everywhere": everywhere}
     done = api.post("/v1/vision/preview", body)
     written = _write(api, done, out) if out is not None else []
     if as_json:
@@ -60,9 +65,18 @@ def preview_command(
         raise typer.Exit(1)
 
 
+def candidate(recipe: Path | None, base: str | None) -> dict[str, Any]:
+    """Return a recipe that somebody is working on, as requests have it."""
+    known = {"base": base}
+    return known if recipe is None else {**known, "toml": read_file(recipe).decode("utf-8", "replace")}
+
+
 def chosen_picture(api: ApiClient, name: str) -> str:
-    """Return how the daemon calls a picture; a file is uploaded."""
-    if name == "latest" or name.startswith(("cycle:", "upload:")):
+    """Return how the daemon calls a picture; ``live`` takes one, a file is uploaded."""
+    if name == "live":
+        api.post("/v1/frames/take")
+        return "latest"
+    if name == "latest" or name.startswith(KEPT):
         return name
     return str(api.send("/v1/vision/pictures", read_file(Path(name)), "image/png")["picture"])
 

@@ -15,6 +15,8 @@ from slabcell.cell.bundle_file import recipe_from_document
 from slabcell.errors import ImageError
 from slabcell.geometry import Points, Polygon
 from slabcell.images import Image
+from slabcell.service.bench.histogram import histogram_document
+from slabcell.service.bench.undistorted import undistorted_overlay, undistorted_picture
 from slabcell.service.bench.wire import Message
 from slabcell.service.bench.work import Work
 from slabcell.vision.blobs import RawBlob
@@ -35,12 +37,17 @@ BUFFERS = {
     "blobs.png": "image/png",
     "contours.json": "application/json",
     "residuals.json": "application/json",
+    "histogram.json": "application/json",
+    "undistorted.json": "application/json",
 }
 """What a preview leaves to look at, and its media type."""
 
 
 def preview(work: Work) -> Message:
-    """Return the located document, and the buffers as blobs; their names stand in the content, in the same order."""
+    """Return the located document, and the buffers as blobs; their names stand in the content, in the same order.
+
+    With the argument ``buffers`` false there are none.
+    """
     said = work.arguments
     recipe = recipe_from_document(said["recipe"])
     calibration = calibration_from_document(said["calibration"], "the calibration")
@@ -49,13 +56,18 @@ def preview(work: Work) -> Message:
     done = trace(LayeredLocator(calibration, recipe), image, area_mm=area, free_slots=said.get("free_slots"))
     height, width = image.shape[:2]
     step = -(-max(height, width) // MAX_SIDE_PX)
-    files = _pictures(image, calibration, done, step)
-    files["contours.json"] = _json(
-        {"schema": "slabcell.preview-contours/1", "blobs": [_contour(number, b) for number, b in enumerate(done.blobs)]}
-    )
-    files["residuals.json"] = _json({"schema": "slabcell.preview-residuals/1", "parts": _residuals(done)})
+    located = None if done.result is None else overlay_document(done.result, said.get("name", "picture"))
+    files: dict[str, bytes] = {}
+    if said.get("buffers", True):
+        files = _pictures(image, calibration, done, step)
+        blobs = [_contour(number, blob) for number, blob in enumerate(done.blobs)]
+        files["contours.json"] = _json({"schema": "slabcell.preview-contours/1", "blobs": blobs})
+        files["residuals.json"] = _json({"schema": "slabcell.preview-residuals/1", "parts": _residuals(done)})
+        files["histogram.json"] = _json(histogram_document(image, recipe.segmentation))
+        if located is not None:
+            files["undistorted.json"] = _json(undistorted_overlay(located, calibration.lens))
     content: dict[str, object] = {
-        "located": None if done.result is None else overlay_document(done.result, said.get("name", "picture")),
+        "located": located,
         "refusal": done.refusal,
         "segmentation": done.segmentation,
         "width": width,
@@ -70,7 +82,7 @@ def _pictures(image: Image, calibration: Calibration, done: Trace, step: int) ->
     shown = as_8_bit(image) if image.ndim == 2 else _shallow(image)
     files = {
         "input.png": _png(shown[::step, ::step]),
-        "undistorted.png": _png(_undistorted(shown, calibration)[::step, ::step]),
+        "undistorted.png": _png(undistorted_picture(shown, calibration.lens)[::step, ::step]),
     }
     if done.mask is not None:
         files["mask.png"] = _png(done.mask[::step, ::step])
@@ -80,16 +92,6 @@ def _pictures(image: Image, calibration: Calibration, done: Trace, step: int) ->
 
 def _shallow(image: Image) -> npt.NDArray[np.uint8]:
     return (image >> 8).astype(np.uint8) if image.dtype == np.uint16 else image.astype(np.uint8, copy=False)
-
-
-def _undistorted(image: npt.NDArray[np.uint8], calibration: Calibration) -> npt.NDArray[np.uint8]:
-    """Return the picture as a camera without distortion would have taken it, with the same matrix."""
-    lens = calibration.lens
-    if lens.model == "fisheye":
-        flat = cv2.fisheye.undistortImage(image, lens.matrix, lens.distortion, Knew=lens.matrix)
-    else:
-        flat = cv2.undistort(image, lens.matrix, lens.distortion)
-    return np.asarray(flat, np.uint8)
 
 
 def _coloured(done: Trace) -> npt.NDArray[np.uint8]:

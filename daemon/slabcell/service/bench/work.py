@@ -10,7 +10,7 @@ import numpy as np
 from slabcell.images import Image, decode_image
 from slabcell.service.bench.wire import Json, Message
 
-__all__ = ["Task", "Work", "picture_blob"]
+__all__ = ["Task", "Work", "picture_blob", "pixels_of"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,18 +26,23 @@ class Work:
 
         Raises ImageError.
         """
-        shape = self.arguments.get("shape")
-        if shape is None:
-            return decode_image(self.blobs[0], "the picture")
-        if self.arguments["dtype"] == "uint16":
-            return np.frombuffer(self.blobs[0], np.uint16).reshape(shape)
-        return np.frombuffer(self.blobs[0], np.uint8).reshape(shape)
+        return pixels_of(self.arguments, self.blobs[0])
 
 
 Task = Callable[[Work], Message]
 
 
+def pixels_of(arguments: Json, blob: bytes | memoryview) -> Image:
+    """Return the picture of a blob.  Raises ImageError."""
+    shape = arguments.get("shape")
+    if shape is None:
+        return decode_image(bytes(blob), "the picture")
+    if arguments["dtype"] == "uint16":
+        return np.frombuffer(blob, np.uint16).reshape(shape)
+    return np.frombuffer(blob, np.uint8).reshape(shape)
+
+
 def picture_blob(pixels: Image) -> tuple[Json, memoryview]:
-    """Return the arguments and the blob that `Work.picture` makes the pixels of again."""
+    """Return the arguments and the blob that `pixels_of` makes the pixels of again."""
     whole = np.ascontiguousarray(pixels)
     return {"shape": list(whole.shape), "dtype": str(whole.dtype)}, whole.reshape(-1).view(np.uint8).data

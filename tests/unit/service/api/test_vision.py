@@ -66,6 +66,7 @@ async def test_what_the_vision_passed_by_can_be_looked_at(client, uploaded):
     files = {item["name"]: (await asyncio.to_thread(client.fetch, item["path"])).content for item in done["buffers"]}
     assert set(files) == {
         *("input.png", "undistorted.png", "mask.png", "blobs.png", "contours.json", "residuals.json"),
+        *("histogram.json", "undistorted.json"),
     }
     mask = decode_image(files["mask.png"], "mask")
     assert 2 * 20 * 20 < np.count_nonzero(mask) < 2 * 28 * 28

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
@@ -19,8 +19,10 @@ from slabcell.service.api.problems import ProblemError
 from slabcell.service.api.resources.cycles import cycle_row
 from slabcell.service.api.resources.recipes import GRADING_TIMEOUT_S, grading_arguments, known_path, recipes_of
 from slabcell.service.api.resources.tasks import TaskDocument, task_view
-from slabcell.service.api.resources.vision import PARAMETER_BYTES, ParametersBody, candidate_of
+from slabcell.service.api.resources.vision import PARAMETER_BYTES, CandidateBody, ParametersBody, candidate_of
 from slabcell.service.bench.wire import Json
+from slabcell.service.recipe_difference import differences
+from slabcell.service.recipe_schema import unit_of
 from slabcell.service.recipes import add_graded
 from slabcell.template import parse_template
 
@@ -35,6 +37,25 @@ class SavedDocument(Document):
 
     schema_: Literal["slabcell.recipe-saved/1"] = Field(default="slabcell.recipe-saved/1", alias="schema")
     name: str = Field(description="what it is called, as NAME~3; it is not active yet")
+
+
+class ChangeDocument(Document):
+    """One parameter that two recipes have otherwise."""
+
+    key: str = Field(description="as in a recipe's file, such as matching.min_score")
+    unit: str = Field(description="empty for none")
+    active: Any
+    candidate: Any
+
+
+class DifferenceDocument(Document):
+    """In what a recipe that somebody is working on differs from the active one."""
+
+    schema_: Literal["slabcell.recipe-difference/1"] = Field(default="slabcell.recipe-difference/1", alias="schema")
+    active: str = Field(description="name of the active recipe")
+    base: str = Field(description="name of the recipe that the other one is based on")
+    template_changed: bool
+    changes: list[ChangeDocument]
 
 
 class GradeBody(Body):
@@ -65,6 +86,23 @@ async def _save(call: Call[ApiContext]) -> SavedDocument:
     await known_path(context, name)
     candidate = await candidate_of(context, name, call.body)
     return SavedDocument(name=await asyncio.to_thread(recipes_of(context).save, name, candidate))
+
+
+async def _compare(call: Call[ApiContext]) -> DifferenceDocument:
+    context, said = call.context, call.body
+    active = context.cell.recipe
+    base = said.base or active.name
+    await known_path(context, base)
+    candidate = (await candidate_of(context, base, said)).recipe
+    return DifferenceDocument(
+        active=active.name,
+        base=base,
+        template_changed=candidate.template.sha256 != active.template.sha256,
+        changes=[
+            ChangeDocument(key=item.key, unit=unit_of(item.key), active=item.before, candidate=item.after)
+            for item in differences(active, candidate)
+        ],
+    )
 
 
 async def _verify(call: Call[ApiContext]) -> TaskDocument:
@@ -116,6 +154,14 @@ ENDPOINTS = (
         body=ParametersBody,
         body_bytes=3 * PARAMETER_BYTES,
         problems=(404,),
+    ),
+    Endpoint(
+        *("POST", "/v1/recipes/compare", "Say in what parameters differ from those of the active recipe", _compare),
+        *(DifferenceDocument, _TAG),
+        body=CandidateBody,
+        body_bytes=3 * PARAMETER_BYTES,
+        problems=(404,),
+        kept=False,
     ),
     Endpoint(
         *("POST", "/v1/recipes/{name}/verify", "Run the recipe on its graded pictures, in the background", _verify),

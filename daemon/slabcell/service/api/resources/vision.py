@@ -13,6 +13,7 @@ from starlette.responses import Response
 
 from slabcell.calibration.file import to_document
 from slabcell.cell.bundle import recipe_document
+from slabcell.recipe import Recipe
 from slabcell.service.api.context import ApiContext
 from slabcell.service.api.documents import Document
 from slabcell.service.api.endpoint import Body, Call, Endpoint
@@ -22,7 +23,17 @@ from slabcell.service.candidate import Candidate, make_candidate
 from slabcell.service.pictures import MAX_UPLOAD_BYTES, NoSuchPictureError, Picture
 from slabcell.service.studio import Preview
 
-__all__ = ["ENDPOINTS", "PARAMETER_BYTES", "ParametersBody", "candidate_of", "chosen_picture"]
+__all__ = [
+    "ENDPOINTS",
+    "PARAMETER_BYTES",
+    "PREVIEW_TIMEOUT_S",
+    "CandidateBody",
+    "ParametersBody",
+    "candidate_of",
+    "chosen_picture",
+    "recipe_of",
+    "vision_arguments",
+]
 
 PARAMETER_BYTES: Final = 512 << 10
 PREVIEW_TIMEOUT_S: Final = 30.0
@@ -54,7 +65,8 @@ class PreviewBody(CandidateBody):
     """Which picture, and which recipe."""
 
     picture: Annotated[str, Field(max_length=80)] = Field(
-        default="latest", description="latest, cycle:NUMBER, or upload:ID of an uploaded picture"
+        default="latest",
+        description="latest, cycle:NUMBER, set:SET/FILE, graded:RECIPE/FILE, or upload:ID of an uploaded picture",
     )
     everywhere: bool = Field(default=False, description="look at the whole picture, not at the pick area only")
     free_slots: Annotated[list[int], Field(max_length=5000)] | None = Field(
@@ -122,19 +134,35 @@ async def candidate_of(context: ApiContext, base: str, said: ParametersBody) -> 
     )
 
 
+async def recipe_of(context: ApiContext, said: CandidateBody) -> Recipe:
+    """Return the recipe that somebody is working on: the active one, unless something else is said.
+
+    Raises ProblemError 404, RecipeError or TemplateError.
+    """
+    recipe = context.cell.recipe
+    if (said.base or recipe.name, said.toml, said.parameters, said.template_csv) == (recipe.name, None, None, None):
+        return recipe
+    return (await candidate_of(context, said.base or recipe.name, said)).recipe
+
+
+def vision_arguments(context: ApiContext, recipe: Recipe, *, everywhere: bool) -> dict[str, object]:
+    """Return what the bench needs to run the vision, but for the picture."""
+    return {
+        "recipe": recipe_document(recipe),
+        "calibration": to_document(context.cell.calibration),
+        "area_mm": None if everywhere else context.cell.settings.pick_area.vertices.tolist(),
+    }
+
+
 async def _preview(call: Call[ApiContext]) -> PreviewDocument:
     context, said = call.context, call.body
     assert isinstance(said, PreviewBody)  # noqa: S101 - as the endpoint declares
-    recipe = context.cell.recipe
-    if (said.base or recipe.name, said.toml, said.parameters, said.template_csv) != (recipe.name, None, None, None):
-        recipe = (await candidate_of(context, said.base or recipe.name, said)).recipe
+    recipe = await recipe_of(context, said)
     picture = await chosen_picture(context, said.picture)
     arguments = {
         **picture.arguments,
+        **vision_arguments(context, recipe, everywhere=said.everywhere),
         "name": picture.name,
-        "recipe": recipe_document(recipe),
-        "calibration": to_document(context.cell.calibration),
-        "area_mm": None if said.everywhere else context.cell.settings.pick_area.vertices.tolist(),
         "free_slots": said.free_slots,
     }
     done = await context.studio.bench.run("preview", arguments, (picture.blob,), timeout_s=PREVIEW_TIMEOUT_S)
