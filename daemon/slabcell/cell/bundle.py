@@ -21,8 +21,9 @@ import json
 import math
 import platform
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
+from functools import cache
 from importlib.metadata import version
 from io import BytesIO
 
@@ -98,23 +99,34 @@ class BundleContext:
         }
 
 
-def bundle_bytes(cycle: CycleRecord, pixels: Pixels | None, context: BundleContext, rows: Rows, created: str) -> bytes:
-    """Return the zip file of one cycle."""
-    files = {
-        **context.files,
-        "ledger.json": _json({"schema": "slabcell.ledger/1", **rows}),
-        "transcript.json": _json(_transcript(cycle)),
-        "telegrams.json": _json(cycle.telegrams),
-    }
+def bundle_bytes(
+    cycle: CycleRecord,
+    pixels: Pixels | None,
+    context: BundleContext,
+    rows: Rows,
+    created: str,
+    *,
+    pause: Callable[[], None] = lambda: None,
+) -> bytes:
+    """Return the zip file of one cycle.  ``pause`` is called between its parts, and may take its time."""
+    files = {**context.files, "ledger.json": _json({"schema": "slabcell.ledger/1", **rows})}
+    pause()
+    files["transcript.json"] = _json(_transcript(cycle))
+    pause()
+    files["telegrams.json"] = _json(cycle.telegrams)
     if cycle.result is not None:
+        pause()
         files["result.json"] = _json(cycle.result.to_document("frame.png"))
+        pause()
         files["overlay.json"] = _json(overlay_document(cycle.result, "frame.png"))
+    pause()
     if cycle.verification and cycle.placements:
         report = AsBuilt.of(context.recipe.template.slots, cycle.placements, context.settings)
         files["as-built.json"] = _json(report.to_document(cycle.job_id, context.recipe.name))
         files["as-built.csv"] = report.to_csv().encode()
         files["as-built.svg"] = report.to_svg().encode()
     if pixels is not None:
+        pause()
         encoded, png = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL])
         if not encoded:
             msg = f"picture of shape {pixels.shape}, {pixels.dtype} cannot be written as PNG"
@@ -146,17 +158,13 @@ def bundle_bytes(cycle: CycleRecord, pixels: Pixels | None, context: BundleConte
             for offer in cycle.offers
         ],
         "placements": [_finite(asdict(item)) for item in cycle.placements],
-        "versions": {
-            "slabcell": version("slabcell"),
-            "python": platform.python_version(),
-            "numpy": version("numpy"),
-            "opencv": version("opencv-python-headless"),
-        },
+        "versions": _versions(),
         "files": sorted(files),
     }
     stream = BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
         for name, content in {"manifest.json": _json(manifest), **files}.items():
+            pause()
             how = zipfile.ZIP_STORED if name.endswith(".png") else zipfile.ZIP_DEFLATED
             archive.writestr(name, content, compress_type=how)
     return stream.getvalue()
@@ -171,6 +179,17 @@ def _finite(values: dict[str, object]) -> dict[str, object]:
     """Write what could not be measured as null: JSON knows no NaN."""
     return {
         key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in values.items()
+    }
+
+
+@cache
+def _versions() -> dict[str, str]:
+    """Return what ran; looking it up reads files."""
+    return {
+        "slabcell": version("slabcell"),
+        "python": platform.python_version(),
+        "numpy": version("numpy"),
+        "opencv": version("opencv-python-headless"),
     }
 
 

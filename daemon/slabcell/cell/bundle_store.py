@@ -1,4 +1,4 @@
-"""How do bundles get to the disk?  Written by a thread of its own, while the cell goes on.
+"""How do bundles get to the disk?  Written by a thread of its own, while the cell goes on and the robot does not wait.
 
 What cannot be written is counted and reported: it never stops the cell.  A bundle appears complete or not at all.  How
 long each is kept is the matter of `slabcell.cell.retention`.
@@ -18,6 +18,7 @@ import structlog
 from slabcell.cell.bundle import BundleContext, Rows, bundle_bytes
 from slabcell.cell.events import CycleRecord
 from slabcell.cell.executor import end_executor
+from slabcell.cell.leisure import Leisure
 from slabcell.cell.retention import FAILURE, Retention, make_room, next_number, prune
 from slabcell_drivers.robot.protocol import ResultCode
 
@@ -25,6 +26,9 @@ __all__ = ["BundleWriter"]
 
 MAX_WAITING = 8
 """Bundles that may wait for the disk: each holds a picture in memory."""
+
+PATIENCE_S = 1.0
+"""So long each part of a bundle waits for a moment in which the robot does not; no longer once many bundles wait."""
 
 
 class BundleWriter:
@@ -45,6 +49,7 @@ class BundleWriter:
         self.failed = failed
         self.kept: Callable[[CycleRecord, str], None] | None = None
         self.dropped = 0
+        self.leisure = Leisure()
         self._retention = retention or Retention()
         self._now = now
         self._number = 0  # of the next bundle; known once the directory was looked at, by the writer's thread
@@ -63,13 +68,19 @@ class BundleWriter:
         about += f"_{cycle.session}-{cycle.trigger_sequence}_{_kind(cycle, rows)}.zip"
         pixels = cycle.frame.pixels if cycle.frame is not None else None
 
+        def pause() -> None:
+            self.leisure.wait(PATIENCE_S, urgent=lambda: self._waiting > MAX_WAITING // 2)
+
         def write() -> str:
+            pause()
             self._prepare()
             make_room(self.directory, self._retention)
-            content = bundle_bytes(cycle, pixels, context, rows, created.isoformat(timespec="milliseconds"))
+            written_utc = created.isoformat(timespec="milliseconds")
+            content = bundle_bytes(cycle, pixels, context, rows, written_utc, pause=pause)
             path = self.directory / f"{self._number:08d}_{about}"
             temporary = path.with_suffix(".part")
             try:
+                pause()
                 with temporary.open("wb") as stream:
                     stream.write(content)
                     stream.flush()
@@ -79,6 +90,7 @@ class BundleWriter:
                 temporary.unlink(missing_ok=True)
                 raise
             self._number += 1
+            pause()
             prune(self.directory, self._retention, now_s=self._now().timestamp(), spare=path)
             return path.name
 
@@ -111,6 +123,7 @@ class BundleWriter:
 
     async def close(self) -> None:
         """Wait for what is being written, and end the thread; may be called twice."""
+        self.leisure.end()
         await end_executor(self._writer)
         await asyncio.sleep(0)  # lets the callbacks of the last bundles run
 

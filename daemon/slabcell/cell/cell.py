@@ -28,6 +28,7 @@ from slabcell.cell.execution import Execution
 from slabcell.cell.eyes import Eyes, HouseEyes
 from slabcell.cell.handover import Handover
 from slabcell.cell.ledger import Ledger
+from slabcell.cell.leisure import Leisure
 from slabcell.cell.looking import Looking
 from slabcell.cell.planning import Planner
 from slabcell.cell.records import Job, JobState, PlacementRecord
@@ -98,6 +99,7 @@ class Cell:
             alarms=self.alarms,
             conditions=self._conditions,
         )
+        self._leisure = bundles.leisure if bundles is not None else Leisure()
         self._turn = asyncio.Lock()
         self._changing = asyncio.Lock()
         self._clock = clock
@@ -382,7 +384,7 @@ class Cell:
                 self._log.warning("request refused", number=int(fault), type=request.type.name)
                 return self._to_answer(refusal(fault), request)
             before = self._cycles.present
-            with structlog.contextvars.bound_contextvars(**self._about(request)):
+            with self._leisure.serving(), structlog.contextvars.bound_contextvars(**self._about(request)):
                 answer = self._to_answer(await self._serving.reply(request), request)
             self._cycles.settle(request, answer, before=before)
             self._serving.conversation.remember(request, answer)

@@ -1,5 +1,6 @@
 """Are bundles kept as long as they should be, and no longer?"""
 
+import asyncio
 import os
 import shutil
 from types import SimpleNamespace
@@ -8,6 +9,7 @@ import pytest
 
 from slabcell.catalogue import Fault
 from slabcell.cell.bundle_store import BundleWriter
+from slabcell.cell.events import CycleRecord
 from slabcell.cell.retention import Retention, make_room, prune
 from slabcell_drivers.camera.protocol import CameraLost
 
@@ -131,3 +133,19 @@ async def test_closing_twice_is_no_error(tmp_path):
     writer = BundleWriter(tmp_path)
     await writer.close()
     await writer.close()
+
+
+async def test_no_bundle_is_written_while_the_robot_waits(bench):
+    await bench.stop()
+    bench.bundles = True
+    await bench.start()
+    writer = bench.cell._cycles._bundles
+    written = []
+    writer.kept = lambda _, name: written.append(name)
+    with writer.leisure.serving():
+        writer.keep(CycleRecord(1, 1, 1, 1), bench.cell._cycles._context, {})
+        await asyncio.sleep(0.1)
+        assert not written
+        assert not list(bench.folder.glob("bundles/*"))
+    await writer.close()
+    assert len(written) == 1
