@@ -63,6 +63,21 @@ def test_what_is_wrong_is_found_with_its_remedy(cell):
     assert {path: path.read_bytes() for path in cell.folder.rglob("*") if path.is_file()} == before
 
 
+def test_a_cell_without_a_calibration_is_told_where_to_make_one_and_an_activated_one_counts(cell):
+    path = cell.folder / "calibration.json"
+    state = cell.folder / "state"
+    (state / "calibrations").mkdir(parents=True)
+    path.rename(state / "calibrations" / "first.json")
+    found = findings(cell, 1)[3]
+    assert [item["severity"] for item in found] == ["error"]
+    assert f"there is no calibration: {path} is not there" in found[0]["detail"]
+    assert "page Calibrate" in found[0]["remedy"]
+    assert found[0]["docs"] == "how-to/calibrate.md"
+    choice = {"schema": "slabcell.active-calibration/1", "calibration": "first"}
+    (state / "active-calibration.json").write_text(json.dumps(choice))
+    assert worst(findings(cell, 0)[3]) == "ok"
+
+
 def test_a_calibration_of_another_camera_is_found(cell):
     path = cell.folder / "calibration.json"
     path.write_text(path.read_text().replace(cell.world.scene.camera.serial, "ANOTHER"))

@@ -31,6 +31,7 @@ from slabcell.cell.ledger import Ledger
 from slabcell.cell.leisure import Leisure
 from slabcell.cell.looking import Looking
 from slabcell.cell.planning import Planner
+from slabcell.cell.preparing import Preparation
 from slabcell.cell.records import Job, JobState, PlacementRecord
 from slabcell.cell.reply import Reply, refusal, to_answer
 from slabcell.cell.serving import Serving
@@ -44,14 +45,20 @@ from slabcell_drivers.robot.protocol import Answer, Request, ResultCode
 
 __all__ = ["Cell"]
 
+_AT_LEISURE = frozenset({CellState.INITIALIZED, CellState.READY, CellState.HALTED})
+"""States in which nothing is under way.  `initialized` lasts only where there is no calibration."""
+
 
 class Cell:
-    """One cell with one camera and one robot.  `handle` is what a `RobotLink` needs."""
+    """One cell with one camera and one robot.  `handle` is what a `RobotLink` needs.
+
+    Without a calibration it takes pictures, and waits for one: see `slabcell.cell.preparing`.
+    """
 
     def __init__(
         self,
         camera: Camera,
-        calibration: Calibration,
+        calibration: Calibration | None,
         recipe: Recipe,
         *,
         arm: ArmModel,
@@ -66,12 +73,13 @@ class Cell:
         self.settings = settings
         self.alarms = Alarms(self._emit, clock=clock)
         self._conditions = Conditions(suspended=SuspendedCause.ROBOT_ABSENT)
-        self._calibration: Calibration = calibration
+        self._calibration: Calibration | None = calibration
         self._arm = arm
         self._machine = StateMachine(lambda before, after, cause: self._emit(StateChanged(before, after, cause)))
+        self._preparation = Preparation(self._machine, self.alarms, self._conditions)
         self._desk = JobDesk(ledger, recipe, self._emit)
         self._cycles = Cycles(
-            *(ledger, BundleContext(recipe, calibration, settings, arm) if bundles else None, bundles),
+            *(ledger, _context(recipe, calibration, settings, arm) if bundles else None, bundles),
             emit=self._emit,
             failed=lambda detail: self.alarms.come(Fault.BUNDLE_UNWRITABLE, detail),
             kept=lambda: self.alarms.cease(Fault.BUNDLE_UNWRITABLE),
@@ -79,7 +87,7 @@ class Cell:
         self._looking = Looking(
             camera,
             calibration,
-            eyes=eyes or HouseEyes(calibration, recipe),
+            eyes=eyes or _eyes(calibration, recipe),
             planner=Planner(recipe, settings, arm),
             settings=settings,
             emit=self._emit,
@@ -149,8 +157,8 @@ class Cell:
         return self._cycles.present
 
     @property
-    def calibration(self) -> Calibration:
-        """What pixels become millimetres with."""
+    def calibration(self) -> Calibration | None:
+        """What pixels become millimetres with; None as long as there is none."""
         return self._calibration
 
     @property
@@ -179,14 +187,15 @@ class Cell:
     # Life
 
     async def start(self) -> None:
-        """Become ready, without moving anything.  Raises CalibrationError or LedgerError."""
-        self._calibration.require_plane()
+        """Become ready if there is a calibration, without moving anything.  Raises CalibrationError or LedgerError."""
+        if self._calibration is not None:
+            self._calibration.require_plane()
         await self._machine.fire(CellEvent.INITIALIZE, "start")
         abandoned = await self._desk.take_up()
         if abandoned is not None:
             self.alarms.come(Fault.RECIPE_CHANGED, abandoned)
         await self._serving.unresolved()
-        await self._machine.fire(CellEvent.PREPARE, f"recipe {self.recipe.name}")
+        await self._preparation.finish(self._calibration, self.recipe.name)
 
     async def stop(self) -> None:
         """Take back what the robot has not begun with, and end every thread; may be called twice."""
@@ -255,7 +264,7 @@ class Cell:
         async with self._turn:
             await self._machine.fire(CellEvent.INITIALIZE, f"resumed by {by}")
             self._serving.stepping = step
-            await self._machine.fire(CellEvent.PREPARE, f"recipe {self.recipe.name}")
+            await self._preparation.finish(self._calibration, self.recipe.name)
 
     async def clear(self, by: str = "a person") -> None:
         """Leave the error state after a person has removed its cause."""
@@ -264,7 +273,7 @@ class Cell:
             for alarm in self.alarms.standing:
                 if entry(alarm.fault).category in {"ledger", "service"}:
                     self.alarms.settle(alarm.fault, f"cleared by {by}")
-            await self._machine.fire(CellEvent.PREPARE, f"recipe {self.recipe.name}")
+            await self._preparation.finish(self._calibration, self.recipe.name)
 
     async def step(self) -> None:
         """Halt after the slab that is under way or comes next.  Raises SlabcellError where nothing can be offered."""
@@ -291,7 +300,7 @@ class Cell:
             await self._execution.snap()
 
     def _require_leisure(self) -> None:
-        if self.state not in {CellState.READY, CellState.HALTED}:
+        if self.state not in _AT_LEISURE:
             msg = f"the cell is {self.state}: a picture is taken on request when it is ready or halted"
             raise SlabcellError(msg, number=Fault.NOT_READY)
 
@@ -326,11 +335,12 @@ class Cell:
         calibration_given = calibration is not None
         recipe, settings = recipe or self.recipe, settings or self.settings
         calibration = _as_kept(calibration or self._calibration)
-        calibration.require_plane()
-        eyes = await asyncio.to_thread(HouseEyes, calibration, recipe)
+        if calibration is not None:
+            calibration.require_plane()
+        eyes = await asyncio.to_thread(_eyes, calibration, recipe)
         planner = await asyncio.to_thread(Planner, recipe, settings, self._arm)
         async with self._turn:
-            if self.state not in {CellState.READY, CellState.HALTED}:
+            if self.state not in _AT_LEISURE:
                 msg = f"the cell is {self.state}: this changes only when it is ready or halted"
                 raise SlabcellError(msg, number=Fault.NOT_READY)
             changed = "recipe" if recipe is not self.recipe else "calibration" if calibration_given else ""
@@ -343,8 +353,12 @@ class Cell:
                 self._desk.change(recipe)
             self._looking.change(calibration, eyes, planner, settings)
             self._execution.change(settings)
-            self._cycles.change(BundleContext(recipe, calibration, settings, self._arm))
+            self._cycles.change(_context(recipe, calibration, settings, self._arm))
             self.recipe, self.settings, self._calibration = recipe, settings, calibration
+            if self.state is CellState.INITIALIZED:
+                await self._preparation.finish(calibration, recipe.name)
+            else:
+                self._preparation.look(calibration)
 
     def overhear(self, direction: str, telegram: bytes, at_s: float) -> None:
         """Take a telegram as it went over the wire, for the bundles; ``direction`` is received or sent."""
@@ -404,6 +418,21 @@ class Cell:
         return to_answer(reply, request, session=known.session, trigger_sequence=known.trigger_sequence)
 
 
-def _as_kept(calibration: Calibration) -> Calibration:
+def _as_kept(calibration: Calibration | None) -> Calibration | None:
     """Return a calibration as a bundle holds it, to the last bit: the way arrays lie in memory changes rounding."""
-    return calibration_from_document(calibration_to_document(calibration), "the calibration")
+    return (
+        None
+        if calibration is None
+        else calibration_from_document(calibration_to_document(calibration), "the calibration")
+    )
+
+
+def _eyes(calibration: Calibration | None, recipe: Recipe) -> Eyes | None:
+    return None if calibration is None else HouseEyes(calibration, recipe)
+
+
+def _context(
+    recipe: Recipe, calibration: Calibration | None, settings: CellSettings, arm: ArmModel
+) -> BundleContext | None:
+    """Return what bundles need; without a calibration there is no cycle to be kept."""
+    return None if calibration is None else BundleContext(recipe, calibration, settings, arm)

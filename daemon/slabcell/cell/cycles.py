@@ -61,9 +61,9 @@ class Cycles:
         self._kept()
         self._emit(CycleKept(cycle, file))
 
-    def change(self, context: BundleContext) -> None:
+    def change(self, context: BundleContext | None) -> None:
         """Keep the cycles to come with another recipe, calibration or settings."""
-        if self._context is not None:
+        if self._bundles is not None:
             self._context = context
 
     def overhear(self, direction: str, telegram: bytes, at_s: float) -> None:

@@ -17,6 +17,7 @@ from slabcell.cell.events import CycleRecord, Event, FrameTaken, PartsLocated, S
 from slabcell.cell.executor import end_executor
 from slabcell.cell.eyes import Eyes
 from slabcell.cell.planning import Plan, Planner
+from slabcell.cell.preparing import NO_CALIBRATION
 from slabcell.cell.records import PlacementRecord
 from slabcell.cell.settings import CellSettings
 from slabcell.errors import CalibrationError, ImageError, SlabcellError
@@ -64,9 +65,9 @@ class Looking:
     def __init__(
         self,
         camera: Camera,
-        calibration: Calibration,
+        calibration: Calibration | None,
         *,
-        eyes: Eyes,
+        eyes: Eyes | None,
         planner: Planner,
         settings: CellSettings,
         emit: Callable[[Event], None],
@@ -81,7 +82,9 @@ class Looking:
         self._clock = clock
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="slabcell-vision")
 
-    def change(self, calibration: Calibration, eyes: Eyes, planner: Planner, settings: CellSettings) -> None:
+    def change(
+        self, calibration: Calibration | None, eyes: Eyes | None, planner: Planner, settings: CellSettings
+    ) -> None:
         """Look otherwise from the next picture on."""
         self._calibration = calibration
         self._eyes = eyes
@@ -107,7 +110,8 @@ class Looking:
             raise LookError(Fault.CAMERA_STALE, detail)
         height, width = frame.pixels.shape[:2]
         try:
-            self._calibration.require_size(width, height, f"frame {frame.frame_id}")
+            if self._calibration is not None:
+                self._calibration.require_size(width, height, f"frame {frame.frame_id}")
         except CalibrationError as error:
             raise LookError(Fault.CALIBRATION_MISMATCH, str(error)) from error
         cycle.frame, cycle.frame_id = frame, frame.frame_id
@@ -116,9 +120,10 @@ class Looking:
 
     async def locate(self, frame: ImageFrame, slots: Slots, cycle: CycleRecord) -> Plan:
         """Return what can be laid into the free slots; the cycle gets the vision's result.  Raises `LookError`."""
+        eyes = self._require_eyes()
 
         def work() -> tuple[LocateResult, Plan, float]:
-            found = self._eyes.locate(frame.pixels, area_mm=self._settings.pick_area, free_slots=slots.free)
+            found = eyes.locate(frame.pixels, area_mm=self._settings.pick_area, free_slots=slots.free)
             began_s = self._clock()
             planned = self._planner.plan(found.parts, laid=slots.laid, correction_mm=cycle.correction_mm)
             return found, planned, (self._clock() - began_s) * 1000
@@ -137,13 +142,17 @@ class Looking:
         self, frame: ImageFrame, slots: Collection[int], cycle: CycleRecord
     ) -> tuple[PlacementRecord, ...]:
         """Return how the slabs lie in these slots.  Raises `LookError`."""
+        eyes = self._require_eyes()
         with self._stage(cycle, "measure"):
             cycle.placements = await self._compute(
-                lambda: self._eyes.measure(
-                    frame.pixels, assembly_in_table=self._settings.assembly_in_table, slots=slots
-                )
+                lambda: eyes.measure(frame.pixels, assembly_in_table=self._settings.assembly_in_table, slots=slots)
             )
         return cycle.placements
+
+    def _require_eyes(self) -> Eyes:
+        if self._eyes is None:
+            raise LookError(Fault.CALIBRATION_MISSING, NO_CALIBRATION)
+        return self._eyes
 
     async def _compute(self, work: Callable[[], _T]) -> _T:
         """Run in the worker thread, to the deadline.  A thread cannot be stopped: what comes too late is dropped."""

@@ -135,6 +135,8 @@ class Serving:
     # A cycle
 
     async def _trigger(self, request: Request) -> Reply:
+        if self._conditions.held is HeldCause.CALIBRATION:
+            return Reply(Fault.CALIBRATION_MISSING)
         if self._machine.state not in {CellState.READY, CellState.OFFERING}:
             standing = self._alarms.standing
             return Reply(standing[-1].fault if standing else Fault.NOT_READY)

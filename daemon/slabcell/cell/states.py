@@ -78,6 +78,7 @@ class HeldCause(StrEnum):
     NO_MATCH = "no_match"
     CAMERA = "camera"
     OPERATOR = "operator"  # a person has to look at something first
+    CALIBRATION = "calibration"  # there is none: pixels are no millimetres
 
 
 class SuspendedCause(StrEnum):

@@ -26,13 +26,22 @@ DEFAULT = Path("/etc/slabcell/cell.toml")
 def check(config: Where = DEFAULT, *, as_json: AsJson = False) -> None:
     """Check the configuration, its drop-ins and every file that it names.  Exit code 78 if something is wrong."""
     loaded = load_layers(config)
-    parts = read_parts(loaded.config, config)
+    parts = read_parts(loaded.config)
     files = [str(file) for file in loaded.files]
     if as_json:
-        slots = len(parts.recipe.template.slots)
-        print_json({"schema": "slabcell.config-check/1", "files": files, "recipe": parts.recipe.name, "slots": slots})
+        print_json(
+            {
+                "schema": "slabcell.config-check/1",
+                "files": files,
+                "recipe": parts.recipe.name,
+                "slots": len(parts.recipe.template.slots),
+                "calibrated": parts.calibration is not None,
+            }
+        )
         return
     typer.echo(f"{', '.join(files)}: right; recipe {parts.recipe.name} with {len(parts.recipe.template.slots)} slots")
+    if parts.calibration is None:
+        typer.echo("there is no calibration yet: the cell starts, and waits for one")
 
 
 @config_app.command()

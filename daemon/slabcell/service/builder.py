@@ -13,7 +13,6 @@ from slabcell.cell.cell import Cell
 from slabcell.cell.ledger import Ledger
 from slabcell.cell.retention import DAY_S, Retention
 from slabcell.cell.settings import CellSettings
-from slabcell.errors import ConfigurationError
 from slabcell.geometry import Polygon
 from slabcell.recipe import Recipe, load_recipe
 from slabcell.service.config import CellConfig
@@ -25,9 +24,9 @@ __all__ = ["CellParts", "cell_settings", "open_cell", "read_parts", "retention"]
 
 @dataclass(frozen=True, slots=True)
 class CellParts:
-    """What a cell is made of, read and checked."""
+    """What a cell is made of, read and checked.  A new cell has no calibration yet."""
 
-    calibration: Calibration
+    calibration: Calibration | None
     recipe: Recipe
     arm: ArmModel
     settings: CellSettings
@@ -66,18 +65,14 @@ def retention(config: CellConfig) -> Retention:
     )
 
 
-def read_parts(config: CellConfig, path: Path) -> CellParts:
-    """Return what the files of a configuration say; ``path`` is its own, for messages.
+def read_parts(config: CellConfig) -> CellParts:
+    """Return what the files of a configuration say.
 
-    Raises ConfigurationError, CalibrationError, RecipeError or TemplateError.
+    A calibration that is not there yet is none: the cell says so, and its first one is made with its own camera.  One
+    that is there must be whole.  Raises ConfigurationError, CalibrationError, RecipeError or TemplateError.
     """
-    if config.calibration is None:
-        msg = f"{path}: calibration is missing: make one with `slabcell calibrate camera` and `plane`, and name it here"
-        raise ConfigurationError(msg)
-    calibration = load_calibration(config.calibration)
-    calibration.require_plane()
     return CellParts(
-        calibration,
+        _calibration(config.calibration),
         load_recipe(config.recipe),
         arm_by_name(config.robot.model),
         cell_settings(config),
@@ -85,9 +80,17 @@ def read_parts(config: CellConfig, path: Path) -> CellParts:
     )
 
 
+def _calibration(path: Path | None) -> Calibration | None:
+    if path is None or not path.exists():
+        return None
+    calibration = load_calibration(path)
+    calibration.require_plane()
+    return calibration
+
+
 @contextlib.asynccontextmanager
 async def open_cell(parts: CellParts, camera: Camera, folder: Path) -> AsyncGenerator[tuple[Cell, Ledger]]:
-    """Give a cell that is ready, and its ledger; both are in ``folder`` with the bundles.
+    """Give a cell that is ready, or waits for its calibration, and its ledger; both are in ``folder`` with the bundles.
 
     The camera need not be open yet; it is the caller's to open and to close.  Raises LedgerError or CalibrationError.
     """

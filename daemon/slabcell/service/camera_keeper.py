@@ -43,7 +43,7 @@ class CameraKeeper:
     ``calibration`` is asked at each opening, because another may be in use by then.
     """
 
-    def __init__(self, camera: Camera, cell: Cell, links: Links, calibration: Callable[[], Calibration]) -> None:
+    def __init__(self, camera: Camera, cell: Cell, links: Links, calibration: Callable[[], Calibration | None]) -> None:
         self.info: CameraInfo | None = None
         """Who the camera is, once it was open."""
         self._camera = camera
@@ -72,9 +72,12 @@ class CameraKeeper:
             await self._watch(info)
 
     async def _is_calibrated(self, info: CameraInfo) -> bool:
+        calibration = self._calibration()
+        if calibration is None:  # its pictures are needed for the first one
+            return True
         identity = CameraIdentity(info.width, info.height, info.serial)
         try:
-            self._calibration().require_camera(identity, f"camera {info.serial}")
+            calibration.require_camera(identity, f"camera {info.serial}")
         except CalibrationError as error:
             _log.exception("camera refused")
             await self._camera.close()

@@ -73,16 +73,17 @@ async def run_daemon(path: Path, *, ready: Callable[[tuple[str, int]], None] | N
     shelf = RecipeShelf(config.recipe, folder)
     calibrations = CalibrationShelf(config.calibration, folder)
     used = {"recipe": shelf.active, "calibration": calibrations.active}
-    parts = read_parts(config.model_copy(update=used), path)
+    parts = read_parts(config.model_copy(update=used))
     stopping, reload = asyncio.Event(), asyncio.Event()
     with _signals({signal.SIGTERM: stopping, signal.SIGINT: stopping, signal.SIGHUP: reload}), InstanceLock(folder):
         async with running_cell(config, parts, folder) as (context, address, ledger):
             context.config_path = path
             recipe = context.cell.recipe.name
-            _log.info("ready", cell=config.name, recipe=recipe, robot=f"{address[0]}:{address[1]}")
+            waits_for = "the robot" if context.cell.calibration else "its first calibration"
+            _log.info("ready", cell=config.name, recipe=recipe, robot=f"{address[0]}:{address[1]}", waits_for=waits_for)
             if ready is not None:
                 ready(address)
-            notify(f"READY=1\nSTATUS=recipe {recipe}, waiting for the robot")
+            notify(f"READY=1\nSTATUS=recipe {recipe}, waiting for {waits_for}")
             reloader = Reloader(path, config, context.cell, context.pending_reload, context.tell_config)
             async with _beside(_reloading(reload, reloader), *_watchdog(context.cell, ledger)):
                 await stopping.wait()

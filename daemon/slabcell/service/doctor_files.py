@@ -15,6 +15,8 @@ from pathlib import Path
 from slabcell.calibration import load_calibration
 from slabcell.cell.ledger import LedgerFile
 from slabcell.recipe import load_recipe
+from slabcell.service.calibrations import CalibrationShelf
+from slabcell.service.config import CellConfig
 from slabcell.service.config_layers import load_layers
 from slabcell.service.doctor import Patient, Severity
 from slabcell_drivers.robot.eki.consistency import check as check_programs
@@ -46,13 +48,15 @@ def look_at_recipe(patient: Patient) -> Answers:
 
 
 def look_at_calibration(patient: Patient) -> Answers:
-    """Read the calibration; say how old it is."""
+    """Read the calibration that is in use after a start; say how old it is."""
     if patient.config is None:
         return
-    path = patient.config.calibration
-    if path is None:
-        how = "calibrate with `slabcell calibrate camera` and `slabcell calibrate plane`, and name the file"
-        yield Severity.ERROR, "the configuration names no calibration", how
+    configured = patient.config.calibration
+    path = CalibrationShelf(configured, _state_folder(patient.config)).active
+    if path is None or not path.exists():
+        how = "make one on page Calibrate or with `slabcell calibration`, and activate it; the cell starts without"
+        what = "the configuration names none, and none was activated" if path is None else f"{path} is not there"
+        yield Severity.ERROR, f"there is no calibration: {what}", how
         return
     patient.calibration = load_calibration(path)
     patient.calibration.require_plane()
@@ -65,6 +69,10 @@ def look_at_calibration(patient: Patient) -> Answers:
     if age > OLD_CALIBRATION:
         how = "look whether it still holds: `slabcell calibrate check` with one picture of the board"
         yield Severity.WARNING, f"{path}: is {age.days} days old", how
+
+
+def _state_folder(config: CellConfig) -> Path:
+    return config.state_directory or Path(os.environ.get("STATE_DIRECTORY") or "/var/lib/slabcell")
 
 
 def look_at_programs(patient: Patient) -> Answers:
@@ -88,7 +96,7 @@ def look_at_state(patient: Patient) -> Answers:
     """Look at rights and room of the state directory, and at the ledger."""
     if patient.config is None:
         return
-    named = patient.config.state_directory or Path(os.environ.get("STATE_DIRECTORY") or "/var/lib/slabcell")
+    named = _state_folder(patient.config)
     if not named.is_dir():
         how = "start the service, which makes it, or correct state_directory"
         yield Severity.WARNING, f"{named}: is not there", how

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from slabcell.catalogue import Fault
+from slabcell.errors import SlabcellError
 from slabcell.template import load_template
 
 pytestmark = [pytest.mark.integration, pytest.mark.timeout(180)]
@@ -68,13 +70,6 @@ def test_an_address_that_is_taken_is_named(cell) -> None:
     assert "Traceback" not in done.stderr
 
 
-def test_a_cell_without_its_calibration_does_not_start(cell) -> None:
-    (cell.folder / "calibration.json").unlink()
-    done = cell.run()
-    assert done.returncode == 78
-    assert "calibration.json" in done.stderr
-
-
 def test_another_camera_than_the_calibrated_one_is_refused(cell) -> None:
     path = cell.folder / "calibration.json"
     path.write_text(path.read_text().replace(cell.world.scene.camera.serial, "ANOTHER"))
@@ -131,3 +126,25 @@ def test_the_configuration_is_checked_and_shown_with_its_origins(cell) -> None:
     assert wrong.returncode == 78
     assert "did you mean 'timeout_s'?" in wrong.stderr
     assert '"title": "CellConfig"' in cell.slabcell("config", "schema").stdout
+
+
+def test_a_new_cell_starts_without_a_calibration_and_is_ready_with_its_first_one(cell):
+    given = (cell.folder / "calibration.json").read_bytes()
+    (cell.folder / "calibration.json").unlink()
+    with cell.daemon() as daemon:
+        cell.wait_for_log("camera open")
+        status = daemon.client.get("/v1/status")
+        assert (status["state"], status["held"]) == ("initialized", "calibration")
+        assert status["highest_alarm"]["number"] == Fault.CALIBRATION_MISSING
+        assert daemon.client.post("/v1/frames/take")["width"] == cell.world.scene.camera.width
+        name = daemon.client.send("/v1/calibrations", given, "application/json")["name"]
+        with pytest.raises(SlabcellError, match="no calibration is in use") as refused:
+            daemon.client.get("/v1/calibration")
+        assert refused.value.number == Fault.CALIBRATION_MISSING
+        assert "is in use, for restarts too" in daemon.client.post(f"/v1/calibrations/{name}/activate")["detail"]
+        status = daemon.client.get("/v1/status")
+        assert (status["state"], status["held"], status["alarms"]) == ("ready", None, 0)
+        assert daemon.stop() == 0
+    with cell.daemon() as daemon:
+        assert daemon.client.get("/v1/status")["state"] == "ready"
+        assert daemon.stop() == 0

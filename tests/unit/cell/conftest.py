@@ -197,6 +197,7 @@ class Bench:
         self.eyes = ScriptedEyes()
         self.settings = make_settings()
         self.recipe = make_recipe()
+        self.calibration: Calibration | None = make_calibration()
         self.bundles = False
         self.retention: Retention | None = None
         self.utc_now: Callable[[], datetime] = lambda: datetime.now(UTC)
@@ -212,7 +213,7 @@ class Bench:
         )
         self.cell = Cell(
             self.camera,
-            make_calibration(),
+            self.calibration,
             self.recipe,
             arm=KR3_R540,
             settings=self.settings,
@@ -220,7 +221,7 @@ class Bench:
             bundles=BundleWriter(self.folder / "bundles", retention=self.retention, now=self.utc_now)
             if self.bundles
             else None,
-            eyes=self.eyes,
+            eyes=self.eyes if self.calibration else None,
             clock=self.clock,
         )
         self.cell.subscribe(self.events.append)

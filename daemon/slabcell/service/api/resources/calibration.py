@@ -11,6 +11,8 @@ from pydantic import Field
 from slabcell.calibration import Calibration, CameraIdentity, calibration_from_document, load_calibration
 from slabcell.calibration.compare import distance
 from slabcell.calibration.file import MAX_BYTES, to_document
+from slabcell.catalogue import Fault
+from slabcell.cell.preparing import NO_CALIBRATION, require_calibration
 from slabcell.errors import CalibrationError
 from slabcell.service.api.context import ApiContext
 from slabcell.service.api.documents import Document, Done
@@ -20,7 +22,15 @@ from slabcell.service.api.resources.vision import chosen_picture
 from slabcell.service.bench.wire import Json
 from slabcell.service.calibrations import CalibrationEntry, CalibrationShelf
 
-__all__ = ["DETECTION_TIMEOUT_S", "ENDPOINTS", "BoardBody", "board_in", "calibration_named", "shelf_of"]
+__all__ = [
+    "DETECTION_TIMEOUT_S",
+    "ENDPOINTS",
+    "BoardBody",
+    "board_in",
+    "calibration_named",
+    "camera_identity",
+    "shelf_of",
+]
 
 DETECTION_TIMEOUT_S: Final = 30.0
 BoardText = Annotated[str, Field(max_length=200, description="as on the command line, e.g. checkerboard:12x9:25")]
@@ -119,6 +129,19 @@ async def calibration_named(context: ApiContext, name: str) -> Calibration:
     return await asyncio.to_thread(load_calibration, path)
 
 
+def camera_identity(context: ApiContext) -> CameraIdentity:
+    """Return which camera the cell has: as it says, else as the present calibration says.
+
+    Raises ProblemError 503 where neither is known yet.
+    """
+    info, present = context.camera(), context.cell.calibration
+    if info is not None:
+        return CameraIdentity(info.width, info.height, info.serial)
+    if present is None:
+        raise ProblemError(503, "the camera has not been seen yet, and there is no calibration: connect the camera")
+    return present.camera
+
+
 async def board_in(context: ApiContext, said: BoardBody) -> tuple[str, Json]:
     """Return the picture's name, and what the bench says of the board in it."""
     picture = await chosen_picture(context, said.picture)
@@ -128,7 +151,10 @@ async def board_in(context: ApiContext, said: BoardBody) -> tuple[str, Json]:
 
 
 async def _active(call: Call[ApiContext]) -> CalibrationDocument:
-    return CalibrationDocument(calibration=dict(to_document(call.context.cell.calibration)))
+    found = call.context.cell.calibration
+    if found is None:
+        raise ProblemError(404, NO_CALIBRATION, number=Fault.CALIBRATION_MISSING)
+    return CalibrationDocument(calibration=dict(to_document(found)))
 
 
 async def _history(call: Call[ApiContext]) -> CalibrationsDocument:
@@ -141,9 +167,9 @@ async def _history(call: Call[ApiContext]) -> CalibrationsDocument:
     )
 
 
-def _kept(entry: CalibrationEntry, active: Calibration, *, in_use: bool) -> KeptCalibrationDocument:
+def _kept(entry: CalibrationEntry, active: Calibration | None, *, in_use: bool) -> KeptCalibrationDocument:
     found = entry.calibration
-    apart = None if found is None else distance(found, active)
+    apart = None if found is None or active is None else distance(found, active)
     rms = None if found is None else found.diagnostics.get("rms_px")
     return KeptCalibrationDocument(
         name=entry.name,
@@ -177,8 +203,7 @@ async def _upload(call: Call[ApiContext]) -> UploadedDocument:
 
 def _require_this_camera(context: ApiContext, calibration: Calibration) -> None:
     """Raise CalibrationError for a calibration of another camera than the one that is, or was last, connected."""
-    info, present = context.camera(), context.cell.calibration.camera
-    identity = present if info is None else CameraIdentity(info.width, info.height, info.serial)
+    identity = camera_identity(context)
     calibration.require_camera(identity, f"camera {identity.serial or 'of the present calibration'}")
 
 
@@ -193,7 +218,7 @@ async def _activate(call: Call[ApiContext]) -> Done:
     before = context.cell.calibration
     await context.cell.change(calibration=calibration)
     await asyncio.to_thread(shelf_of(context).choose, name)
-    apart = await asyncio.to_thread(distance, before, calibration)
+    apart = None if before is None else await asyncio.to_thread(distance, before, calibration)
     moved = f"; points of the table moved by {apart.mean_mm:.3f} mm, {apart.worst_mm:.3f} at most" if apart else ""
     return Done(detail=f"calibration {name} is in use, for restarts too{moved}")
 
@@ -207,7 +232,7 @@ async def _check(call: Call[ApiContext]) -> CheckDocument:
     arguments = {
         "board": said.board,
         "detection": seen["found"],
-        "calibration": to_document(context.cell.calibration),
+        "calibration": to_document(require_calibration(context.cell.calibration)),
         "board_thickness_mm": said.board_thickness_mm,
         "limit_mm": said.limit_mm,
     }
@@ -218,7 +243,9 @@ async def _check(call: Call[ApiContext]) -> CheckDocument:
 
 _TAG = "calibration"
 ENDPOINTS = (
-    Endpoint("GET", "/v1/calibration", "The calibration that is in use", _active, CalibrationDocument, _TAG),
+    Endpoint(
+        "GET", "/v1/calibration", "The calibration that is in use", _active, CalibrationDocument, _TAG, problems=(404,)
+    ),
     Endpoint(
         *(
             "GET",

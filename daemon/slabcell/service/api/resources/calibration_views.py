@@ -10,11 +10,19 @@ from pydantic import Field
 
 from slabcell.calibration import Board, HandEyeMethod, LensModel, Mount, calibration_from_document
 from slabcell.calibration.file import to_document
+from slabcell.cell.preparing import require_calibration
+from slabcell.errors import CalibrationError
 from slabcell.service.api.context import ApiContext
 from slabcell.service.api.documents import Document, Done
 from slabcell.service.api.endpoint import Body, Call, Endpoint
 from slabcell.service.api.problems import ProblemError
-from slabcell.service.api.resources.calibration import BoardBody, board_in, calibration_named, shelf_of
+from slabcell.service.api.resources.calibration import (
+    BoardBody,
+    board_in,
+    calibration_named,
+    camera_identity,
+    shelf_of,
+)
 from slabcell.service.api.resources.tasks import TaskDocument, task_view
 from slabcell.service.bench.wire import Json
 from slabcell.service.views import MAX_VIEWS, View
@@ -240,11 +248,17 @@ async def _start(context: ApiContext, said: RunBody, views: list[View]) -> Json:
     """
     present = context.cell.calibration
     if said.kind != "camera":
-        base = present if said.calibration is None else await calibration_named(context, said.calibration)
+        named = said.calibration
+        base = require_calibration(present) if named is None else await calibration_named(context, named)
         return {"calibration": to_document(base)}
-    identity = present.camera
+    identity = camera_identity(context) if present is None else present.camera
     for view in views:
-        present.require_size(view.detection["width"], view.detection["height"], view.name)
+        size = (view.detection["width"], view.detection["height"])
+        if size != (identity.width, identity.height):
+            raise CalibrationError(
+                f"{view.name} has {size[0]}x{size[1]} pixels, the camera {identity.width}x{identity.height}:"
+                " take the picture with the settings of the camera"
+            )
     return {
         "calibration": None,
         "serial": identity.serial,

@@ -54,7 +54,8 @@ def status_of(context: ApiContext, job: JobDocument | None) -> StatusDocument:
 
 
 def _created(context: ApiContext) -> str | None:
-    created = context.cell.calibration.diagnostics.get("created")
+    calibration = context.cell.calibration
+    created = None if calibration is None else calibration.diagnostics.get("created")
     return created if isinstance(created, str) else None
 
 

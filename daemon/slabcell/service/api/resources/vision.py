@@ -13,6 +13,7 @@ from starlette.responses import Response
 
 from slabcell.calibration.file import to_document
 from slabcell.cell.bundle import recipe_document
+from slabcell.cell.preparing import require_calibration
 from slabcell.recipe import Recipe
 from slabcell.service.api.context import ApiContext
 from slabcell.service.api.documents import Document
@@ -149,7 +150,7 @@ def vision_arguments(context: ApiContext, recipe: Recipe, *, everywhere: bool) -
     """Return what the bench needs to run the vision, but for the picture."""
     return {
         "recipe": recipe_document(recipe),
-        "calibration": to_document(context.cell.calibration),
+        "calibration": to_document(require_calibration(context.cell.calibration)),
         "area_mm": None if everywhere else context.cell.settings.pick_area.vertices.tolist(),
     }
 
