@@ -29,6 +29,16 @@ class Coverage:
     reach_fraction: float
     counts: npt.NDArray[np.int64]
 
+    def to_document(self) -> dict[str, object]:
+        """Return the coverage as JSON values: ``counts`` row by row, cells of equal size over the whole picture."""
+        return {
+            "width": self.width,
+            "height": self.height,
+            "hull_fraction": self.hull_fraction,
+            "reach_fraction": self.reach_fraction,
+            "counts": self.counts.tolist(),
+        }
+
     def warnings(self) -> list[str]:
         """Return what a person should do about it, in words."""
         lines: list[str] = []

@@ -14,7 +14,7 @@ import numpy as np
 
 from slabcell.errors import CalibrationError
 
-__all__ = ["Row", "read_rows"]
+__all__ = ["Row", "read_rows", "rows_of"]
 
 MAX_BYTES = 1 << 20
 MAX_ROWS = 10_000
@@ -57,7 +57,12 @@ def read_rows(path: Path, *headers: str) -> tuple[str, list[Row]]:
 
     Case, blanks and the endings _mm, _px and _deg of a column's name do not matter.  Raises CalibrationError.
     """
-    numbered = _lines(path)
+    return rows_of(_content(path), str(path), *headers)
+
+
+def rows_of(raw: bytes, path: str, *headers: str) -> tuple[str, list[Row]]:
+    """Return the same of a table that is not a file; ``path`` is what it is called.  Raises CalibrationError."""
+    numbered = _lines(raw, path)
     delimiter = max(",;\t", key=numbered[0][1].count)
     try:
         cells = [next(csv.reader(io.StringIO(line), delimiter=delimiter, strict=True)) for _, line in numbered]
@@ -84,13 +89,17 @@ def _plain(name: str) -> str:
     return plain
 
 
-def _lines(path: Path) -> list[tuple[int, str]]:
+def _content(path: Path) -> bytes:
     try:
         with path.open("rb") as stream:
-            raw = stream.read(MAX_BYTES + 1)
-        text = raw.decode("utf-8-sig")
+            return stream.read(MAX_BYTES + 1)
     except OSError as error:
         raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def _lines(raw: bytes, path: str) -> list[tuple[int, str]]:
+    try:
+        text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise CalibrationError(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8") from error
     if len(raw) > MAX_BYTES:

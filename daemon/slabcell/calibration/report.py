@@ -15,7 +15,10 @@ __all__ = ["camera_document", "hand_eye_document", "plane_document"]
 
 
 def camera_document(result: CameraResult, out: str, failures: Sequence[str]) -> dict[str, object]:
-    """Return the ``slabcell.calibrate-camera/1`` object."""
+    """Return the ``slabcell.calibrate-camera/1`` object.
+
+    ``residuals`` are u, v and what is left in u and v of every point, in pixels.
+    """
     lens = result.calibration.lens
     return {
         "schema": "slabcell.calibrate-camera/1",
@@ -29,10 +32,8 @@ def camera_document(result: CameraResult, out: str, failures: Sequence[str]) -> 
             {"name": v.name, "points": v.points, "rms_px": v.rms_px, "used": v.used, "tilt_deg": v.tilt_deg}
             for v in result.views
         ],
-        "coverage": {
-            "hull_fraction": result.coverage.hull_fraction,
-            "reach_fraction": result.coverage.reach_fraction,
-        },
+        "coverage": result.coverage.to_document(),
+        "residuals": np.round(result.residuals, 3).tolist(),
         "not_found": list(failures),
         "warnings": list(result.warnings),
     }

@@ -28,6 +28,9 @@ Thickness = Annotated[
 ]
 
 
+_CHECKED = ("lens_rms_px", "lift_mm", "tilt_deg", "scale_ppm")
+
+
 @calibration_app.command("list")
 def list_command(socket: Socket = None, *, as_json: AsJson = False) -> None:
     """List the cell's calibrations, and how far each is from the one in use."""
@@ -82,10 +85,13 @@ def check_command(
     limit_mm: Annotated[float, typer.Option("--limit-mm", help="Drift above which the check fails.")] = 0.2,
     socket: Socket = None,
     *,
+    fixed: Annotated[
+        bool, typer.Option("--fixed", help="The board is always in the same place: tell sideways drift too.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Say whether the calibration in use still holds, by a board on the table.  Exit code 1 if it does not."""
-    body = _body(socket, board, picture, board_thickness_mm=thickness_mm, limit_mm=limit_mm)
+    body = _body(socket, board, picture, board_thickness_mm=thickness_mm, limit_mm=limit_mm, fixed=fixed)
     document = client(socket).post("/v1/calibration/check", body)
     if as_json:
         print_json(document)
@@ -114,12 +120,13 @@ def collect_command(
     board: BoardText,
     picture: PictureName = "new",
     pose: Annotated[
-        str | None, typer.Option("--pose", metavar="X,Y,Z,A,B,C", help="Flange in the base, for hand-eye.")
+        str | None,
+        typer.Option("--pose", metavar="X,Y,Z,A,B,C", help="Flange in the base, for hand-eye; robot: as it says."),
     ] = None,
     socket: Socket = None,
 ) -> None:
     """Take a picture of the board and keep its points as a view to calibrate with."""
-    body = _body(socket, board, picture, pose=None if pose is None else list(parse_pose(pose, "--pose").frame))
+    body = _body(socket, board, picture, pose=None if pose is None else _pose(pose))
     document = client(socket).post("/v1/calibration/views", body)
     typer.echo(f"view {document['view']}: {document['points']} points")
 
@@ -134,6 +141,98 @@ def views_command(socket: Socket = None, *, as_json: AsJson = False) -> None:
     for item in document["views"]:
         pose = "" if item["pose"] is None else f", robot at {', '.join(f'{value:g}' for value in item['pose'])}"
         typer.echo(f"view {item['view']}: {item['board']}, {item['points']} points{pose}")
+
+
+@calibration_app.command("survey")
+def survey_command(
+    kind: Annotated[str, typer.Argument(metavar="camera|plane|hand-eye", help="What is to be computed.")] = "camera",
+    socket: Socket = None,
+    *,
+    as_json: AsJson = False,
+) -> None:
+    """Say what the views cover, and which pictures are missing yet."""
+    document = client(socket).get("/v1/calibration/survey", kind=kind)
+    if as_json:
+        print_json(document)
+        return
+    for stand in document["stands"]:
+        said = f"{stand['name']}: tilted by {stand['tilt_deg']:.0f}°, {stand['distance_mm']:.0f} mm away"
+        typer.echo(f"{said}, its face turned {stand['towards']}")
+    if document["coverage"] is not None:
+        typer.echo(f"{document['coverage']['hull_fraction']:.0%} of the picture covered")
+    for item in document["advice"]:
+        typer.echo(f"to do: {item['text']}")
+    if not document["advice"]:
+        typer.echo("these views are good to calibrate with")
+
+
+@calibration_app.command("pose")
+def pose_command(
+    view: Annotated[int, typer.Argument(metavar="VIEW", help="Its number.")],
+    pose: Annotated[str, typer.Argument(metavar="POSE", help="X,Y,Z,A,B,C of the flange; robot: as it says.")],
+    socket: Socket = None,
+) -> None:
+    """Say where the robot was for a view."""
+    document = client(socket).post(f"/v1/calibration/views/{view}/pose", {"pose": _pose(pose)})
+    typer.echo(f"view {view}: robot at {', '.join(f'{value:g}' for value in document['pose'])}")
+
+
+@calibration_app.command("poses")
+def poses_command(
+    file: Annotated[Path, typer.Argument(metavar="POSES.csv", help="image,X,Y,Z,A,B,C with a view's number as image.")],
+    socket: Socket = None,
+) -> None:
+    """Say where the robot was for many views, from a table."""
+    document = client(socket).send("/v1/calibration/poses", read_file(file), "text/csv")
+    known = sum(item["pose"] is not None for item in document["views"])
+    typer.echo(f"{known} of {len(document['views'])} views know where the robot was")
+
+
+@calibration_app.command("compare")
+def compare_command(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="The one after.")],
+    base: Annotated[str, typer.Argument(metavar="BEFORE", help="The one before; the one in use if not given.")] = "",
+    socket: Socket = None,
+    *,
+    as_json: AsJson = False,
+) -> None:
+    """Hold two calibrations against each other: their figures, and by how much points on the table move."""
+    document = client(socket).get(f"/v1/calibrations/{quote(name, safe='')}/compare", base=base)
+    if as_json:
+        print_json(document)
+        return
+    table = Table("", document["before"], document["after"])
+    before, after = document["figures_before"], document["figures_after"]
+    for key in before:
+        if key != "warnings" and (before[key], after[key]) not in {(None, None), ("", "")}:
+            table.add_row(key, *("" if item[key] is None else str(item[key]) for item in (before, after)))
+    Console().print(table)
+    drift = document["drift"]
+    if drift is not None:
+        typer.echo(f"points on the table move by {drift['mean_mm']:.3f} mm, {drift['worst_mm']:.3f} at most")
+
+
+@calibration_app.command("checks")
+def checks_command(
+    limit: Annotated[int, typer.Option("--limit", min=1, max=2000, help="So many, the newest of them.")] = 30,
+    socket: Socket = None,
+    *,
+    as_json: AsJson = False,
+) -> None:
+    """List what checks found over time."""
+    document = client(socket).get("/v1/calibration/checks", limit=limit)
+    if as_json:
+        print_json(document)
+        return
+    table = Table("at", "calibration", "", "corners px", "lift mm", "tilt °", "scale ppm", "moved mm (worst)")
+    for item in document["checks"]:
+        board, drift = item["board"], item["drift"]
+        numbers = (f"{board[key]:.3f}" if board[key] is not None else "" for key in _CHECKED)
+        table.add_row(
+            *(item["at"][:19], item["calibration"], "holds" if item["ok"] else "does not hold", *numbers),
+            "" if drift is None else f"{drift['worst_mm']:.3f}",
+        )
+    Console().print(table)
 
 
 @calibration_app.command("clear")
@@ -175,6 +274,10 @@ def run_command(
     if "rms_px" in report:
         typer.echo(f"residual {report['rms_px']:.3f} px")
     typer.echo(document["calibration"])
+
+
+def _pose(text: str) -> str | list[float]:
+    return text if text == "robot" else list(parse_pose(text, "the pose").frame)
 
 
 def _body(socket: Path | None, board: str, picture: str, **rest: object) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from slabcell.cli.sim_board import board_command
 from slabcell.cli.sim_plc import plc_command
 from slabcell.errors import ImageError, UnavailableError, UsageError
 from slabcell.images import Image, read_image
@@ -35,6 +36,7 @@ SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff"})
 
 
 sim_app.command("plc")(plc_command)
+sim_app.command("board")(board_command)
 
 
 @sim_app.command("camera")

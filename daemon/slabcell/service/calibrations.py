@@ -18,6 +18,7 @@ from slabcell.calibration import Calibration, calibration_from_document, calibra
 from slabcell.catalogue import Fault
 from slabcell.errors import CalibrationError
 from slabcell.service.atomic import write_atomically
+from slabcell.service.calibration_checks import CheckLog
 from slabcell.service.choice import read_choice
 
 __all__ = ["CONFIGURED", "CalibrationEntry", "CalibrationShelf"]
@@ -46,6 +47,8 @@ class CalibrationShelf:
         self._configured = configured
         self._folder = state / "calibrations"
         self._choice = state / "active-calibration.json"
+        self.checks = CheckLog(state / "calibration-checks.jsonl")
+        """What checks of the calibrations found."""
 
     @property
     def chosen(self) -> str:

@@ -24,6 +24,7 @@ from slabcell.service.daemon import running_cell
 from slabcell.service.demo import Progress, demo_folder, read_demo_parts
 from slabcell.service.demo_pictures import grade_newest, store_pictures
 from slabcell.service.simulated import BoardPoses, SimulatedCell, calibrate_from_boards
+from slabcell.service.simulated_board import BoardStand
 from slabcell_drivers.krc import RunResult, SoftwareKrc
 
 __all__ = ["DemoCell", "DemoCellOptions", "open_demo_cell", "run_demo_cell"]
@@ -113,6 +114,7 @@ async def open_demo_cell(options: DemoCellOptions, progress: Progress) -> AsyncG
     config_file.write_text(config_text(config, out), encoding="utf-8")
     async with running_cell(config, cell_parts, out, camera=simulated.camera) as (context, address, _):
         context.config_path = config_file
+        context.board = BoardStand(simulated, options.seed)
         await asyncio.to_thread(store_pictures, context.studio.pictures.sets, parts.scene, options.seed)
         yield DemoCell(simulated, context, socket, address, options)
 

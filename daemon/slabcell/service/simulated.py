@@ -87,10 +87,16 @@ class SimulatedCell:
         spec = scene.camera
         info = CameraInfo(spec.vendor, spec.model, spec.serial, spec.width, spec.height, "Mono8")
         self.camera = SimulatedCamera(info, self.picture)
+        self.board: Frame | None = None
+        """Where the calibration board is, in the root; None if none is shown.  Slabs are not seen meanwhile."""
 
     def picture(self, frame_number: int) -> Pixels:
         """Return what the camera sees now, shape (height, width)."""
-        return render_world(self.world, frame_number)
+        scene, board = self.scene, self.board
+        if board is None:
+            return render_world(self.world, frame_number)
+        seed = self.world.seed
+        return render_board(scene.camera, scene.optics, scene.board, board, seed=seed, frame_number=frame_number)
 
     def strew(self, seed: int) -> None:
         """Take everything away and strew new slabs; a controller from before still moves what was there."""

@@ -5,16 +5,18 @@ Only points are kept, no pictures: a view is some kilobytes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from slabcell.errors import TemporaryError
 
-__all__ = ["MAX_VIEWS", "View", "Views"]
+__all__ = ["MAX_VIEWS", "Pose", "View", "Views"]
 
 MAX_VIEWS: Final = 100
 
 Json = dict[str, Any]
+Pose = tuple[float, float, float, float, float, float]
+"""X Y Z in mm, A B C in degrees: of the flange in the robot's base."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +27,7 @@ class View:
     picture: str
     board: str
     detection: Json
-    pose: tuple[float, float, float, float, float, float] | None
+    pose: Pose | None
 
     @property
     def name(self) -> str:
@@ -54,6 +56,11 @@ class Views:
         x, y, z, a, b, c = pose or (0.0,) * 6
         view = View(self._last, picture, board, detection, None if pose is None else (x, y, z, a, b, c))
         self._views[view.number] = view
+        return view
+
+    def place(self, number: int, pose: Pose | None) -> View:
+        """Note where the robot was for a view that is kept; return the view as it is now."""
+        view = self._views[number] = replace(self._views[number], pose=pose)
         return view
 
     def get(self, number: int) -> View | None:

@@ -12,17 +12,18 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from slabcell.calibration.csv_file import read_rows
+from slabcell.calibration.csv_file import Row, read_rows, rows_of
 from slabcell.calibration.detection import Detection, best_variant
 from slabcell.calibration.handeye.motion import Array, hat, inverse, kuka_matrix, rigid
 from slabcell.calibration.model import Calibration, Lens
 from slabcell.calibration.projection import board_pose, project, rms_length
 from slabcell.errors import CalibrationError, UsageError
 
-__all__ = ["Mount", "RobotPose", "Stations", "load_poses", "make_stations", "parse_pose"]
+__all__ = ["Mount", "RobotPose", "Stations", "load_poses", "make_stations", "parse_pose", "parse_poses"]
 
 Mount = Literal["eye-to-hand", "eye-in-hand"]
 
+POSES_HEADER = "image,X,Y,Z,A,B,C"
 MAX_MM = 1e5
 MAX_DEG = 720.0
 NOISE_FLOOR_PX = 0.02
@@ -148,7 +149,15 @@ def parse_pose(text: str, name: str) -> RobotPose:
 
 def load_poses(path: Path) -> list[RobotPose]:
     """Return the robot poses of a CSV file.  Raises CalibrationError that names file, line and column."""
-    _, rows = read_rows(path, "image,X,Y,Z,A,B,C")
+    return _poses(read_rows(path, POSES_HEADER)[1])
+
+
+def parse_poses(raw: bytes, name: str) -> list[RobotPose]:
+    """Return the robot poses of a CSV table that is called ``name``.  Raises CalibrationError."""
+    return _poses(rows_of(raw, name, POSES_HEADER)[1])
+
+
+def _poses(rows: Sequence[Row]) -> list[RobotPose]:
     poses: list[RobotPose] = []
     for row in rows:
         x, y, z = (row.number(column, MAX_MM) for column in "XYZ")

@@ -19,6 +19,7 @@ from slabcell.service.api.problems import ProblemError, respond
 from slabcell.service.api.resources import (
     alarms,
     calibration,
+    calibration_checks,
     calibration_views,
     control,
     cycles,
@@ -33,6 +34,7 @@ from slabcell.service.api.resources import (
     recipe_work,
     recipes,
     results,
+    simulation,
     status,
     tasks,
     vision,
@@ -50,6 +52,7 @@ ENDPOINTS: tuple[Endpoint[ApiContext], ...] = (
     *recipe_work.ENDPOINTS,
     *calibration.ENDPOINTS,
     *calibration_views.ENDPOINTS,
+    *calibration_checks.ENDPOINTS,
     *frames.ENDPOINTS,
     *looking.ENDPOINTS,
     *vision.ENDPOINTS,
@@ -60,6 +63,7 @@ ENDPOINTS: tuple[Endpoint[ApiContext], ...] = (
     *doctor.ENDPOINTS,
     *events.ENDPOINTS,
     *metrics.ENDPOINTS,
+    *simulation.ENDPOINTS,
 )
 
 

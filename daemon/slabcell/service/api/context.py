@@ -19,6 +19,7 @@ from slabcell.service.history import History
 from slabcell.service.ledger_view import LedgerView
 from slabcell.service.links import Links
 from slabcell.service.robot_watch import RobotWatch
+from slabcell.service.simulated_board import BoardStand
 from slabcell.service.studio import Studio
 from slabcell_drivers.camera.protocol import CameraInfo
 
@@ -49,5 +50,7 @@ class ApiContext:
     metrics: Callable[[], bytes] | None = None
     config_path: Path | None = None
     """The configuration file, for who looks at it; None in a cell that has none."""
+    board: BoardStand | None = None
+    """The calibration board of a simulated cell."""
     doctor_turn: asyncio.Lock = field(default_factory=asyncio.Lock)
     pending_reload: list[str] = field(default_factory=list[str])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any, cast
 
 import numpy as np
@@ -21,13 +22,15 @@ from slabcell.calibration import (
     calibration_to_document,
     check_board,
     detect_board,
+    drift_of_board,
 )
+from slabcell.calibration.advice import Kind, survey
 from slabcell.calibration.report import camera_document, hand_eye_document, plane_document
 from slabcell.errors import ImageError
 from slabcell.service.bench.wire import Json, Message
 from slabcell.service.bench.work import Work
 
-__all__ = ["calibrate", "check", "detect"]
+__all__ = ["calibrate", "check", "detect", "look_over"]
 
 
 def detect(work: Work) -> Message:
@@ -48,14 +51,35 @@ def check(work: Work) -> Message:
     """Return whether a calibration still holds, by a board that was detected."""
     said = work.arguments
     board = Board.parse(said["board"])
-    done = check_board(
-        calibration_from_document(said["calibration"], "the calibration"),
-        _from_document(said["detection"], board, "the picture"),
-        board,
-        board_thickness_mm=said["board_thickness_mm"],
-        limit_mm=said["limit_mm"],
+    calibration = calibration_from_document(said["calibration"], "the calibration")
+    now = _from_document(said["detection"], board, "the picture")
+    thickness_mm = said["board_thickness_mm"]
+    done = check_board(calibration, now, board, board_thickness_mm=thickness_mm, limit_mm=said["limit_mm"])
+    drift: Json | None = None
+    if said["reference"] is not None:
+        before = _from_document(said["reference"], board, "the first picture")
+        drift = drift_of_board(calibration, before, now, board_thickness_mm=thickness_mm).to_document()
+    return Message({"board": done.to_document(), "drift": drift})
+
+
+def look_over(work: Work) -> Message:
+    """Return what collected views show so far, and what is missing yet for a calibration of one kind."""
+    said = work.arguments
+    board = Board.parse(said["board"]) if said["views"] else None
+    views = [_from_document(view["detection"], board, view["name"]) for view in said["views"] if board is not None]
+    poses = [None if view["pose"] is None else _pose(view["name"], view["pose"]) for view in said["views"]]
+    base = said["calibration"]
+    lens = None if base is None else calibration_from_document(base, "the calibration").lens
+    found = survey(cast("Kind", said["kind"]), views, poses, lens)
+    return Message(
+        {
+            "stands": [asdict(stand) for stand in found.stands],
+            "coverage": None if found.coverage is None else found.coverage.to_document(),
+            "turned_deg": found.turned_deg,
+            "axis_spread": found.axis_spread,
+            "advice": [asdict(item) for item in found.advice],
+        }
     )
-    return Message(done.to_document())
 
 
 def calibrate(work: Work) -> Message:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from slabcell.service.bench.boards import calibrate, check, detect
+from slabcell.service.bench.boards import calibrate, check, detect, look_over
 from slabcell.service.bench.grading import grade
 from slabcell.service.bench.preview import preview
 from slabcell.service.bench.work import Task, Work
@@ -17,4 +17,5 @@ TASKS: Final[dict[str, Task]] = {
     "detect": detect,
     "grade": grade,
     "preview": preview,
+    "survey": look_over,
 }

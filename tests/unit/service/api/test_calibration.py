@@ -17,7 +17,10 @@ from slabcell.cell.records import Job, JobState
 from slabcell.cli.calibration import calibration_app
 from slabcell.errors import CalibrationError, SlabcellError
 from slabcell.service.api.client import ApiClient
+from slabcell.service.calibration_checks import CheckLog
 from slabcell.service.calibrations import CONFIGURED, CalibrationShelf
+from slabcell_drivers.robot import Frame
+from slabcell_drivers.robot.protocol import Request, RequestType
 
 pytestmark = pytest.mark.unit
 
@@ -139,6 +142,96 @@ async def test_lens_and_plane_are_computed_beside_the_cell_and_activated(api, cl
     lifted = await upload(client, picture(*pose(20.0, 10.0, 480.0, 5.0)))
     check = await post(client, "/v1/calibration/check", {"board": BOARD, "picture": lifted, "limit_mm": 2.0})
     assert not check["ok"]
+    kept = (await asyncio.to_thread(client.get, "/v1/calibration/checks"))["checks"]
+    assert [(item["check"], item["ok"]) for item in kept] == [(1, True), (2, False)]
+    assert {item["calibration"] for item in kept} == {plane["calibration"]}
+    compared = await asyncio.to_thread(
+        client.get, f"/v1/calibrations/{plane['calibration']}/compare", base=lens["calibration"]
+    )
+    assert compared["drift"] is None, "without a plane nothing can be compared in millimetres"
+    assert (compared["figures_before"]["views"], compared["figures_after"]["plane_views"]) == (len(TILTED), 3)
+    assert compared["figures_after"]["plane_rms_px"] == pytest.approx(plane["report"]["rms_px"])
+    moved = await asyncio.to_thread(client.get, f"/v1/calibrations/{plane['calibration']}/compare", base=CONFIGURED)
+    lengths = [float(np.hypot(x, y)) for _, _, x, y in moved["moved"]]
+    assert np.mean(lengths) == pytest.approx(moved["drift"]["mean_mm"], abs=1e-3)
+    grid = np.array(lens["report"]["coverage"]["counts"])
+    assert grid.sum() == sum(view["points"] for view in lens["report"]["views"] if view["used"])
+    assert len(lens["report"]["residuals"]) == grid.sum()
+
+
+async def test_a_board_that_is_always_in_the_same_place_tells_how_far_the_camera_moved_sideways(client):
+    def said(shift: float) -> bytes:
+        return picture(*pose(20.0 + shift, 10.0, 500.0))
+
+    async def check(shift: float, **more: object) -> dict:
+        name = await upload(client, said(shift))
+        return await post(client, "/v1/calibration/check", {"board": BOARD, "picture": name, "limit_mm": 0.5, **more})
+
+    assert (await check(0.0, fixed=True))["drift"] is None, "the first one is the reference"
+    assert (await check(0.0))["drift"] is None
+    held = await check(0.0, fixed=True)
+    assert held["drift"]["worst_mm"] < 0.05
+    moved = await check(2.0, fixed=True)
+    assert moved["drift"]["mean_mm"] == pytest.approx(2.0, abs=0.1)
+    assert any("the fixed board moved" in problem for problem in moved["problems"])
+    rows = (await asyncio.to_thread(client.get, "/v1/calibration/checks", limit=2))["checks"]
+    assert [row["drift"]["worst_mm"] for row in rows] == [held["drift"]["worst_mm"], moved["drift"]["worst_mm"]]
+
+
+async def test_what_is_missing_yet_is_said_while_views_are_collected(client):
+    async def advice(kind: str) -> dict[str, dict]:
+        document = await asyncio.to_thread(client.get, "/v1/calibration/survey", kind=kind)
+        return {item["code"]: item["values"] for item in document["advice"]}
+
+    assert (await advice("camera"))["views"]["more"] == 10
+    await collect(client, [pose(-100.0, -60.0, 500.0), pose(-100.0, -60.0, 500.0, 0.0, 20.0)])
+    found = await advice("camera")
+    assert found["tilt"]["more"] == 3
+    assert "lower right" in found["place"]["places"]
+    assert "upper left" not in found["place"]["places"]
+    assert set(found["towards"]["sides"]) < {"left", "right", "up", "down"}
+    assert "distance" in found
+    await post(client, "/v1/calibration/clear")
+    await collect(client, TILTED, [[0.0, 0.0, 900.0, 0.0, float(10 * n), 180.0] for n in range(len(TILTED))])
+    found = await advice("hand-eye")
+    assert set(found) == {"views", "axis"}, "70° about one axis only"
+    survey = await asyncio.to_thread(client.get, "/v1/calibration/survey", kind="camera")
+    assert [round(stand["tilt_deg"]) for stand in survey["stands"]][:2] == [25, 27]
+    assert set((await advice("plane"))["flat"]["views"]) <= {f"view-{n}" for n in range(3, 11)}
+
+
+async def test_where_the_robot_was_is_said_by_hand_by_a_table_or_by_the_robot_itself(api, client):
+    await collect(client, TILTED[:3])
+    await post(client, "/v1/calibration/views/1/pose", {"pose": [1, 2, 3, 4, 5, 6]})
+    with pytest.raises(SlabcellError, match="the robot has said nothing"):
+        await post(client, "/v1/calibration/views/2/pose", {"pose": "robot"})
+    tcp = Frame(400.0, 10.0, 300.0, 0.0, 0.0, 180.0)
+    await api.robot.handle(Request(RequestType.HELLO, 0, 1, tcp=tcp))
+    told = (await post(client, "/v1/calibration/views/2/pose", {"pose": "robot"}))["pose"]
+    assert told == pytest.approx((tcp @ api.cell.settings.tool.inverse()).as_tuple())
+    assert told[2] == pytest.approx(560.0), "the flange is a tool's length above its tip"
+    table = b"image;X;Y;Z;A;B;C\n3;7;8;9;10;11;12\nview-1;0;0;0;0;0;0\n"
+    views = (await asyncio.to_thread(client.send, "/v1/calibration/poses", table, "text/csv"))["views"]
+    assert [view["pose"] for view in views] == [[0.0] * 6, pytest.approx(told), [7.0, 8.0, 9.0, 10.0, 11.0, 12.0]]
+    for wrong, why in ((b"image,X,Y,Z,A,B,C\n9,1,2,3,4,5,6\n", "9, which is no view"), (b"x", "a header and 1 to")):
+        with pytest.raises(SlabcellError, match=why):
+            await asyncio.to_thread(client.send, "/v1/calibration/poses", wrong, "text/csv")
+
+
+async def test_only_a_simulated_cell_has_a_board_to_show(client):
+    with pytest.raises(SlabcellError, match="this cell is not simulated"):
+        await post(client, "/v1/simulation/board", {"place": "table"})
+
+
+def test_checks_survive_a_line_that_a_power_loss_has_cut(tmp_path: Path):
+    log = CheckLog(tmp_path / "checks.jsonl")
+    for n in range(3):
+        assert log.add({"at": "2026-01-01T00:00:00", "ok": True}) == n + 1
+    with (tmp_path / "checks.jsonl").open("r+b") as stream:
+        stream.truncate((tmp_path / "checks.jsonl").stat().st_size - 9)
+    assert [item["check"] for item in log.read()] == [1, 2]
+    assert log.add({"at": "2026-01-02T00:00:00", "ok": False}) == 3
+    assert [item["check"] for item in log.read()] == [1, 2, 3]
 
 
 async def test_the_place_of_the_camera_is_computed_from_views_with_the_robots_poses(client):
@@ -236,10 +329,19 @@ async def test_the_commands_do_the_same(api, client, tmp_path):
     assert "40 points found" in await slabcell("detect", "--board", BOARD, "--picture", file)
     assert "found" in await slabcell("detect", "--board", BOARD, "--picture", "new", code=1)  # a grey square only
     assert "robot at 1, 2, 3, 4, 5, 6" in await slabcell("views")
+    assert "robot at 9, 2, 3, 4, 5, 6" in await slabcell("pose", 1, "9,2,3,4,5,6")
+    (tmp_path / "poses.csv").write_text("image,X,Y,Z,A,B,C\n2,1,2,3,4,5,6\n")
+    assert "4 of 4 views" in await slabcell("poses", tmp_path / "poses.csv")
+    assert "to do: " in await slabcell("survey", "hand-eye")
     plane = await slabcell("run", "plane", "--set", "views=[1]", "--set", "board_thickness_mm=0.0")
     assert "is in use" in await slabcell("activate", plane)
     assert json.loads(await slabcell("list", "--json"))["calibrations"][0]["name"] == plane
     assert "}" in await slabcell("show")
+    assert "points on the table move by" in await slabcell("compare", plane, CONFIGURED)
+    for how in (["--fixed"], ["--fixed", "--json"]):
+        await slabcell("check", "--board", BOARD, "--picture", file, "--limit-mm", 0.2, *how, code=1)  # it is tilted
+    assert len(json.loads(await slabcell("checks", "--json"))["checks"]) == 2
+    assert await slabcell("checks")
     uploaded = await slabcell("upload", api.calibrations.path_of(plane))
     assert uploaded != CONFIGURED
     assert "every view is forgotten" in await slabcell("clear")

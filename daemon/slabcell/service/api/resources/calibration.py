@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import json
+from math import isfinite
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
 from slabcell.calibration import Calibration, CameraIdentity, calibration_from_document, load_calibration
-from slabcell.calibration.compare import distance
+from slabcell.calibration.compare import displacements, distance
 from slabcell.calibration.file import MAX_BYTES, to_document
 from slabcell.catalogue import Fault
-from slabcell.cell.preparing import NO_CALIBRATION, require_calibration
+from slabcell.cell.preparing import NO_CALIBRATION
 from slabcell.errors import CalibrationError
 from slabcell.service.api.context import ApiContext
 from slabcell.service.api.documents import Document, Done
-from slabcell.service.api.endpoint import Body, Call, Endpoint
+from slabcell.service.api.endpoint import Body, Call, Endpoint, Query
 from slabcell.service.api.problems import ProblemError
+from slabcell.service.api.resources.calibration_figures import FiguresDocument, figures_of
 from slabcell.service.api.resources.vision import chosen_picture
 from slabcell.service.bench.wire import Json
 from slabcell.service.calibrations import CalibrationEntry, CalibrationShelf
@@ -42,17 +44,6 @@ class BoardBody(Body):
     board: BoardText
     picture: Annotated[str, Field(max_length=80)] = Field(
         default="latest", description="latest, cycle:NUMBER, or upload:ID of an uploaded picture"
-    )
-
-
-class CheckBody(BoardBody):
-    """A board that lies on the table."""
-
-    board_thickness_mm: Annotated[float, Field(ge=0, le=200)] = Field(
-        default=0.0, description="height of the printed face above the table"
-    )
-    limit_mm: Annotated[float, Field(ge=0.001, le=100)] = Field(
-        default=0.2, description="drift above which the calibration no longer holds"
     )
 
 
@@ -86,6 +77,7 @@ class KeptCalibrationDocument(Document):
     drift: DriftDocument | None = Field(
         description="from this one to the active one; null where they cannot be compared"
     )
+    figures: FiguresDocument | None = Field(description="what is known of how good it is; null if it cannot be read")
     problem: str = Field(description="what is wrong with its file; empty if nothing is")
 
 
@@ -96,20 +88,35 @@ class CalibrationsDocument(Document):
     calibrations: list[KeptCalibrationDocument]
 
 
+class CompareQuery(Query):
+    """With which one it is compared."""
+
+    base: str = Field(default="", max_length=200, description="name of the one before; none: the one in use")
+
+
+class ComparedDocument(Document):
+    """Two calibrations of one camera, before and after."""
+
+    schema_: Literal["slabcell.calibrations-compared/1"] = Field(
+        default="slabcell.calibrations-compared/1", alias="schema"
+    )
+    before: str
+    after: str
+    width: int
+    height: int
+    figures_before: FiguresDocument
+    figures_after: FiguresDocument
+    drift: DriftDocument | None = Field(description="null where they cannot be compared")
+    moved: list[list[float]] = Field(
+        description="pixels all over the picture, and by how much their points on the table move: u, v, x mm, y mm"
+    )
+
+
 class UploadedDocument(Document):
     """A calibration that was kept."""
 
     schema_: Literal["slabcell.calibration-kept/1"] = Field(default="slabcell.calibration-kept/1", alias="schema")
     name: str = Field(description="what it is called; it is not active yet")
-
-
-class CheckDocument(Document):
-    """Whether the calibration still holds, by one board."""
-
-    schema_: Literal["slabcell.calibrate-check/1"] = Field(default="slabcell.calibrate-check/1", alias="schema")
-    ok: bool
-    board: dict[str, Any] = Field(description="residuals, lift and tilt of the board, its scale")
-    problems: list[str]
 
 
 def shelf_of(context: ApiContext) -> CalibrationShelf:
@@ -183,7 +190,32 @@ def _kept(entry: CalibrationEntry, active: Calibration | None, *, in_use: bool) 
         has_hand_eye=found is not None and found.hand_eye is not None,
         rms_px=float(rms) if isinstance(rms, int | float) else None,
         drift=None if apart is None else DriftDocument(mean_mm=apart.mean_mm, worst_mm=apart.worst_mm),
+        figures=None if found is None else figures_of(found),
         problem=entry.problem,
+    )
+
+
+async def _named(call: Call[ApiContext]) -> CalibrationDocument:
+    found = await calibration_named(call.context, call.text("name"))
+    return CalibrationDocument(calibration=dict(to_document(found)))
+
+
+async def _compare(call: Call[ApiContext]) -> ComparedDocument:
+    context = call.context
+    assert isinstance(call.query, CompareQuery)  # noqa: S101 - as the endpoint declares
+    name, base = call.text("name"), call.query.base or await asyncio.to_thread(lambda: shelf_of(context).chosen)
+    after, before = await calibration_named(context, name), await calibration_named(context, base)
+    moved, apart = await asyncio.to_thread(lambda: (displacements(before, after), distance(before, after)))
+    rows = [] if moved is None else [row for row in moved.round(4).tolist() if all(map(isfinite, row))]
+    return ComparedDocument(
+        before=base,
+        after=name,
+        width=after.camera.width,
+        height=after.camera.height,
+        figures_before=figures_of(before),
+        figures_after=figures_of(after),
+        drift=None if apart is None else DriftDocument(mean_mm=apart.mean_mm, worst_mm=apart.worst_mm),
+        moved=rows,
     )
 
 
@@ -223,24 +255,6 @@ async def _activate(call: Call[ApiContext]) -> Done:
     return Done(detail=f"calibration {name} is in use, for restarts too{moved}")
 
 
-async def _check(call: Call[ApiContext]) -> CheckDocument:
-    context, said = call.context, call.body
-    assert isinstance(said, CheckBody)  # noqa: S101 - as the endpoint declares
-    _, seen = await board_in(context, said)
-    if seen["found"] is None:
-        raise ProblemError(422, str(seen["problem"]))
-    arguments = {
-        "board": said.board,
-        "detection": seen["found"],
-        "calibration": to_document(require_calibration(context.cell.calibration)),
-        "board_thickness_mm": said.board_thickness_mm,
-        "limit_mm": said.limit_mm,
-    }
-    done = await context.studio.bench.run("check", arguments, timeout_s=DETECTION_TIMEOUT_S)
-    problems = [str(problem) for problem in done.content["problems"]]
-    return CheckDocument(ok=not problems, board=done.content, problems=problems)
-
-
 _TAG = "calibration"
 ENDPOINTS = (
     Endpoint(
@@ -257,6 +271,16 @@ ENDPOINTS = (
         problems=(404,),
     ),
     Endpoint(
+        *("GET", "/v1/calibrations/{name}", "One of them, as its file is", _named, CalibrationDocument, _TAG),
+        problems=(404,),
+    ),
+    Endpoint(
+        *("GET", "/v1/calibrations/{name}/compare", "Hold it against another: figures, and what moves", _compare),
+        *(ComparedDocument, _TAG),
+        query=CompareQuery,
+        problems=(404,),
+    ),
+    Endpoint(
         *("POST", "/v1/calibrations", "Upload a calibration of this camera; it is not active yet", _upload),
         *(UploadedDocument, _TAG),
         raw="application/json",
@@ -266,12 +290,5 @@ ENDPOINTS = (
         *("POST", "/v1/calibrations/{name}/activate", "Work with another calibration; between jobs only", _activate),
         *(Done, _TAG),
         problems=(404,),
-    ),
-    Endpoint(
-        *("POST", "/v1/calibration/check", "Say whether the calibration still holds, by a board on the table", _check),
-        *(CheckDocument, _TAG),
-        body=CheckBody,
-        problems=(404, 503),
-        kept=False,
     ),
 )

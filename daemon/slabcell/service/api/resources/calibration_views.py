@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable
 from typing import Annotated, Any, Final, Literal
 
@@ -10,13 +11,15 @@ from pydantic import Field
 
 from slabcell.calibration import Board, HandEyeMethod, LensModel, Mount, calibration_from_document
 from slabcell.calibration.file import to_document
+from slabcell.calibration.handeye.stations import parse_poses
 from slabcell.cell.preparing import require_calibration
 from slabcell.errors import CalibrationError
 from slabcell.service.api.context import ApiContext
 from slabcell.service.api.documents import Document, Done
-from slabcell.service.api.endpoint import Body, Call, Endpoint
+from slabcell.service.api.endpoint import Body, Call, Endpoint, Query
 from slabcell.service.api.problems import ProblemError
 from slabcell.service.api.resources.calibration import (
+    DETECTION_TIMEOUT_S,
     BoardBody,
     board_in,
     calibration_named,
@@ -25,21 +28,39 @@ from slabcell.service.api.resources.calibration import (
 )
 from slabcell.service.api.resources.tasks import TaskDocument, task_view
 from slabcell.service.bench.wire import Json
-from slabcell.service.views import MAX_VIEWS, View
+from slabcell.service.views import MAX_VIEWS, Pose, View
 
 __all__ = ["ENDPOINTS"]
 
 CALIBRATION_TIMEOUT_S: Final = 1800.0
-Pose = tuple[float, float, float, float, float, float]
+POSE_AGE_S: Final = 5.0
+"""A robot that stands still says where it is at least this often, as long as its program runs."""
+POSES_BYTES: Final = 64 << 10
 Coordinate = Annotated[float, Field(ge=-1e5, le=1e5)]
+PoseBody = tuple[Coordinate, Coordinate, Coordinate, Coordinate, Coordinate, Coordinate]
 
 
 class ViewBody(BoardBody):
     """A picture of the board to calibrate with."""
 
-    pose: tuple[Coordinate, Coordinate, Coordinate, Coordinate, Coordinate, Coordinate] | None = Field(
-        default=None, description="flange in the robot's base, X Y Z A B C, for a hand-eye calibration"
+    pose: PoseBody | Literal["robot"] | None = Field(
+        default=None,
+        description="flange in the robot's base, X Y Z A B C, for a hand-eye calibration; robot: where it says it is",
     )
+
+
+class PlaceBody(Body):
+    """Where the robot was for a view."""
+
+    pose: PoseBody | Literal["robot"] | None = Field(
+        description="X Y Z A B C; robot: where it says it is; null: unknown"
+    )
+
+
+class SurveyQuery(Query):
+    """For which calibration."""
+
+    kind: Literal["camera", "plane", "hand-eye"] = "camera"
 
 
 class TouchBody(Body):
@@ -82,7 +103,7 @@ class RunBody(Body):
     robot_deg: Annotated[float, Field(ge=1e-5, le=45)] | None = Field(
         default=None, description="hand-eye: standard deviation of a robot pose; none: estimated"
     )
-    photo_pose: tuple[Coordinate, Coordinate, Coordinate, Coordinate, Coordinate, Coordinate] | None = Field(
+    photo_pose: PoseBody | None = Field(
         default=None, description="eye-in-hand: the flange when the table was calibrated"
     )
 
@@ -120,6 +141,45 @@ class ViewsDocument(Document):
     views: list[ViewDocument]
 
 
+class AdviceDocument(Document):
+    """One thing to do."""
+
+    code: str = Field(description="views, place, tilt, towards, distance, flat, pose, turn, axis or twins")
+    text: str
+    values: dict[str, Any]
+
+
+class StandDocument(Document):
+    """How the board stood before the camera."""
+
+    name: str
+    tilt_deg: float
+    towards: str = Field(description="where its face is turned in the picture: right, left, down or up")
+    distance_mm: float
+
+
+class SurveyDocument(Document):
+    """What the views show so far, and what is missing yet."""
+
+    schema_: Literal["slabcell.calibration-survey/1"] = Field(default="slabcell.calibration-survey/1", alias="schema")
+    kind: str
+    stands: list[StandDocument]
+    coverage: dict[str, Any] | None = Field(
+        description="width, height, parts covered, and counts: points in each cell of a grid over the picture"
+    )
+    turned_deg: float | None = Field(description="largest turn between two poses of the robot")
+    axis_spread: float | None = Field(description="0 if all turns share one axis, 1 if none is preferred")
+    advice: list[AdviceDocument] = Field(description="empty if the views are good to calibrate with")
+
+
+class RobotPoseDocument(Document):
+    """Where the robot says that it is."""
+
+    schema_: Literal["slabcell.robot-pose/1"] = Field(default="slabcell.robot-pose/1", alias="schema")
+    pose: Pose = Field(description="flange in the robot's base, X Y Z in mm, A B C in degrees")
+    age_s: float
+
+
 async def _detect(call: Call[ApiContext]) -> DetectionDocument:
     name, seen = await board_in(call.context, call.body)
     found: Json | None = seen["found"]
@@ -152,7 +212,65 @@ async def _add(call: Call[ApiContext]) -> ViewDocument:
     name, seen = await board_in(context, said)
     if seen["found"] is None:
         raise ProblemError(422, str(seen["problem"]))
-    return _view(context.studio.views.add(name, said.board, seen["found"], said.pose))
+    pose = _robot_pose(context).pose if said.pose == "robot" else said.pose
+    return _view(context.studio.views.add(name, said.board, seen["found"], pose))
+
+
+def _robot_pose(context: ApiContext) -> RobotPoseDocument:
+    """Return the flange of the robot's newest telegram.  Raises ProblemError 409 if it is too old, or there is none."""
+    last, age_s = context.robot.last, time.monotonic() - context.robot.last_s
+    if last is None or age_s > POSE_AGE_S:
+        when = "has said nothing" if last is None else f"said it {age_s:.0f} s ago"
+        raise ProblemError(409, f"the robot {when}: its pose must be {POSE_AGE_S:g} s old at most; give it by hand")
+    flange = last.tcp @ context.cell.settings.tool.inverse()
+    return RobotPoseDocument(pose=flange.as_tuple(), age_s=round(age_s, 3))
+
+
+async def _where(call: Call[ApiContext]) -> RobotPoseDocument:
+    return _robot_pose(call.context)
+
+
+async def _place(call: Call[ApiContext]) -> ViewDocument:
+    context, said, number = call.context, call.body, call.number("view")
+    assert isinstance(said, PlaceBody)  # noqa: S101 - as the endpoint declares
+    if context.studio.views.get(number) is None:
+        raise ProblemError(404, f"there is no view {number}")
+    pose = _robot_pose(context).pose if said.pose == "robot" else said.pose
+    return _view(context.studio.views.place(number, pose))
+
+
+async def _poses(call: Call[ApiContext]) -> ViewsDocument:
+    """Take the poses of a table; all of it, or nothing."""
+    kept = call.context.studio.views
+    named = {name: view.number for view in kept.all for name in (str(view.number), view.name, view.picture)}
+    try:
+        poses = parse_poses(call.raw, "the table")
+    except CalibrationError as error:
+        raise ProblemError(422, str(error)) from error
+    unknown = [pose.image for pose in poses if pose.image not in named]
+    if unknown:
+        raise ProblemError(422, f"the table names {', '.join(unknown)[:200]}, which is no view: write 1, 2, ...")
+    for pose in poses:
+        kept.place(named[pose.image], pose.frame)
+    return ViewsDocument(views=[_view(view) for view in kept.all])
+
+
+async def _survey(call: Call[ApiContext]) -> SurveyDocument:
+    context, query = call.context, call.query
+    assert isinstance(query, SurveyQuery)  # noqa: S101 - as the endpoint declares
+    views, present = context.studio.views.all, context.cell.calibration
+    fits = present is not None and all(
+        (view.detection["width"], view.detection["height"]) == (present.camera.width, present.camera.height)
+        for view in views
+    )
+    arguments: Json = {
+        "kind": query.kind,
+        "board": str(Board.parse(views[0].board)) if views else "",
+        "views": [{"name": view.name, "detection": view.detection, "pose": view.pose} for view in views],
+        "calibration": to_document(present) if present is not None and fits else None,
+    }
+    done = await context.studio.bench.run("survey", arguments, timeout_s=DETECTION_TIMEOUT_S)
+    return SurveyDocument.model_validate({"kind": query.kind, **done.content})
 
 
 async def _list(call: Call[ApiContext]) -> ViewsDocument:
@@ -284,6 +402,27 @@ ENDPOINTS = (
     Endpoint(
         *("POST", "/v1/calibration/views/{view}/remove", "Forget a view", _remove, Done, _TAG),
         problems=(404,),
+    ),
+    Endpoint(
+        *("POST", "/v1/calibration/views/{view}/pose", "Say where the robot was for a view", _place),
+        *(ViewDocument, _TAG),
+        body=PlaceBody,
+        problems=(404,),
+    ),
+    Endpoint(
+        *("POST", "/v1/calibration/poses", "Say where the robot was, as a table: image,X,Y,Z,A,B,C", _poses),
+        *(ViewsDocument, _TAG),
+        raw="text/csv",
+        body_bytes=POSES_BYTES,
+    ),
+    Endpoint(
+        *("GET", "/v1/calibration/robot-pose", "Where the robot says that it is", _where, RobotPoseDocument, _TAG),
+    ),
+    Endpoint(
+        *("GET", "/v1/calibration/survey", "What the views cover, and what is missing yet", _survey),
+        *(SurveyDocument, _TAG),
+        query=SurveyQuery,
+        problems=(503,),
     ),
     Endpoint("POST", "/v1/calibration/clear", "Forget every view", _clear, Done, _TAG),
     Endpoint(
