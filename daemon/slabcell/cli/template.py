@@ -1,8 +1,8 @@
-"""`slabcell template`: what is wrong with a template, and what does it look like?"""
+"""`slabcell template`: what is wrong with a template, what does it look like, and how does a drawing become one?"""
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -11,47 +11,72 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from slabcell.errors import SlabcellError, TemplateError
+from slabcell.cli.files import write_file
+from slabcell.errors import SlabcellError, TemplateError, UsageError
 from slabcell.geometry import Points
-from slabcell.template import Template, load_template
+from slabcell.template import Examined, Template, examine_csv, read_file
+from slabcell.template.dxf import UNITS, Drawing, DrawingOptions, Unit, read_drawing
 
 __all__ = ["template_app"]
 
-template_app = typer.Typer(help="Check and draw a template.", no_args_is_help=True)
+template_app = typer.Typer(help="Check and draw a template; make one of a DXF drawing.", no_args_is_help=True)
 
-File = Annotated[Path, typer.Argument(help="CSV file: one polygon a line, x,y,x,y,... in mm")]
+File = Annotated[Path, typer.Argument(help="CSV file (one polygon a line, x,y,x,y,... in mm) or DXF drawing")]
+UnitName = Annotated[
+    str | None,
+    typer.Option("--unit", help=f"unit of a drawing, {', '.join(UNITS)}; as the drawing says if it is not given"),
+]
+Layers = Annotated[
+    list[str] | None, typer.Option("--layer", help="layer of the slabs in a drawing; repeatable; all that are shown")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
 @template_app.command()
-def check(
-    file: File, *, as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False
-) -> None:
+def check(file: File, unit: UnitName = None, layer: Layers = None, *, as_json: AsJson = False) -> None:
     """Say what is wrong with a template, with line and column, or list its slots."""
     try:
-        template = load_template(file)
+        template, drawing = _read(file, _options(unit, layer))
     except TemplateError as error:
         if not as_json:
             raise
         typer.echo(json.dumps({"schema": "slabcell.template-check/1", "file": str(file), "problems": error.problems}))
         raise typer.Exit(error.exit_code) from error
     if as_json:
-        slots = [
-            {
-                "slot": index,
-                "points": len(slot.vertices),
-                "area_mm2": round(slot.area_mm2, 2),
-                "centroid_mm": [round(float(value), 3) for value in slot.centroid],
-            }
-            for index, slot in enumerate(template.slots)
-        ]
-        document = {"schema": "slabcell.template-check/1", "file": str(file), "problems": [], "slots": slots}
-        typer.echo(json.dumps(document))
+        typer.echo(json.dumps(_document(file, template, drawing)))
         return
-    table = Table("Slot", "Points", "Area mm²", "Width mm", "Height mm", title=f"{file}: {len(template.slots)} slots")
-    for index, slot in enumerate(template.slots):
-        x0, y0, x1, y1 = slot.bounds
-        table.add_row(str(index), str(len(slot.vertices)), f"{slot.area_mm2:.1f}", f"{x1 - x0:.1f}", f"{y1 - y0:.1f}")
-    Console().print(table)
+    _print(file, template, drawing)
+
+
+@template_app.command(name="import")
+def import_(
+    file: Annotated[Path, typer.Argument(help="DXF drawing")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="CSV file to write")],
+    unit: UnitName = None,
+    layer: Layers = None,
+    chord_mm: Annotated[
+        float, typer.Option(min=0.001, max=1.0, help="by how much the chords of an arc may leave it")
+    ] = DrawingOptions().chord_mm,
+    join_mm: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="ends of lines that are nearer meet")
+    ] = DrawingOptions().join_mm,
+    *,
+    as_json: AsJson = False,
+) -> None:
+    """Make a template of a DXF drawing: its closed outlines, in mm, named by the texts inside of them."""
+    options = _options(unit, layer)
+    options = DrawingOptions(options.unit, options.layers, chord_mm, join_mm)
+    template, drawing = _read(file, options, only_drawing=True)
+    assert drawing is not None  # noqa: S101 - as only_drawing asks
+    content = drawing.csv(file.name)
+    examine_csv(content).require(str(out), out.stem)
+    write_file(out, content)
+    if as_json:
+        typer.echo(json.dumps({**_document(file, template, drawing), "out": str(out)}))
+        return
+    _print(file, template, drawing)
+    thickness = drawing.recipe_text(out.name)
+    typer.echo(f"{out} is written; its recipe may begin with\n\n{thickness}")
 
 
 @template_app.command()
@@ -59,19 +84,72 @@ def show(
     file: File,
     out: Annotated[Path, typer.Option("--out", help="PNG file to write")] = Path("template.png"),
     width: Annotated[int, typer.Option(min=200, max=8000, help="width of the picture in pixels")] = 1200,
+    unit: UnitName = None,
+    layer: Layers = None,
 ) -> None:
     """Draw a template: every slot with its number, and the axes of the assembly."""
-    picture = draw(load_template(file), width)
+    picture = draw(_read(file, _options(unit, layer))[0], width)
     done, encoded = cv2.imencode(".png", picture)
     if not done:
         msg = f"{out}: the picture could not be encoded"
         raise SlabcellError(msg)
-    try:
-        out.write_bytes(encoded.tobytes())
-    except OSError as error:
-        msg = f"{out}: cannot be written: {error.strerror}"
-        raise SlabcellError(msg) from error
+    write_file(out, encoded.tobytes())
     typer.echo(str(out))
+
+
+def _options(unit: str | None, layers: list[str] | None) -> DrawingOptions:
+    known: dict[str, Unit] = {name: name for name in UNITS}
+    if unit is not None and unit not in known:
+        msg = f"--unit {unit!r:.20}: choose {', '.join(known)}"
+        raise UsageError(msg)
+    return DrawingOptions(known[unit] if unit else None, tuple(layers or ()))
+
+
+def _read(file: Path, options: DrawingOptions, *, only_drawing: bool = False) -> tuple[Template, Drawing | None]:
+    """Return the template of a file, and the drawing if it is one.  Raises TemplateError."""
+    raw = read_file(file)
+    if not only_drawing and file.suffix.lower() != ".dxf":
+        return examine_csv(raw).require(str(file), file.stem), None
+    drawing = read_drawing(raw, options)
+    examined = Examined(
+        tuple(slot.polygon for slot in drawing.slots), tuple(slot.name for slot in drawing.slots), drawing.problems, ""
+    )
+    return examined.require(str(file), file.stem), drawing
+
+
+def _document(file: Path, template: Template, drawing: Drawing | None) -> dict[str, Any]:
+    slots = [
+        {
+            "slot": index,
+            "name": template.names[index],
+            "points": len(slot.vertices),
+            "area_mm2": round(slot.area_mm2, 2),
+            "centroid_mm": [round(float(value), 3) for value in slot.centroid],
+        }
+        for index, slot in enumerate(template.slots)
+    ]
+    if drawing is not None:
+        for entry, drawn in zip(slots, drawing.slots, strict=True):
+            entry |= {"layer": drawn.layer, "entity": drawn.handle, "thickness_mm": drawn.thickness_mm}
+    document = {"schema": "slabcell.template-check/1", "file": str(file), "problems": [], "slots": slots}
+    return document if drawing is None else {**document, "advice": [item.text for item in drawing.problems]}
+
+
+def _print(file: Path, template: Template, drawing: Drawing | None) -> None:
+    more = [] if drawing is None else ["Layer", "Entity", "Thickness mm"]
+    title = f"{file}: {len(template.slots)} slots"
+    table = Table("Slot", "Name", "Points", "Area mm²", "Width mm", "Height mm", *more, title=title)
+    for index, slot in enumerate(template.slots):
+        x0, y0, x1, y1 = slot.bounds
+        cells = [str(index), template.names[index], str(len(slot.vertices))]
+        cells += [f"{slot.area_mm2:.1f}", f"{x1 - x0:.1f}", f"{y1 - y0:.1f}"]
+        if drawing is not None:
+            drawn = drawing.slots[index]
+            cells += [drawn.layer, drawn.handle, "" if drawn.thickness_mm is None else f"{drawn.thickness_mm:g}"]
+        table.add_row(*cells)
+    Console().print(table)
+    for item in () if drawing is None else drawing.problems:
+        typer.echo(f"{file}: {item.text}")
 
 
 def draw(template: Template, width_px: int) -> npt.NDArray[np.uint8]:
