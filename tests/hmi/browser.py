@@ -15,7 +15,20 @@ from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, R
 from .conftest import LIMIT_S, Server
 
 SIZES = ((1024, 600), (1366, 768), (1920, 1080))
-PATHS = (*("/", "/run", "/history", "/history/jobs", "/history/placements", "/alarms", "/doctor", "/users", "/about"),)
+PATHS = (
+    *(
+        "/",
+        "/run",
+        "/tune",
+        "/history",
+        "/history/jobs",
+        "/history/placements",
+        "/alarms",
+        "/doctor",
+        "/users",
+        "/about",
+    ),
+)
 
 
 def chromium() -> str:

@@ -1,7 +1,7 @@
 """A simulated cell as a process: its daemon lives, its robot lays when told to.  Commands come on standard input.
 
-``lay`` runs one job to its end, ``strew`` brings new slabs, ``off`` takes the camera away, ``on`` brings it back; each
-is answered with one line.
+``lay`` runs one job to its end, ``strew`` brings new slabs, ``off`` takes the camera away, ``on`` brings it back,
+``connect`` is a robot that says nothing, until ``disconnect``; each is answered with one line.
 """
 
 import asyncio
@@ -44,6 +44,7 @@ def calibration(scene: str, seed: int) -> Calibration:
 async def main(out: Path, scene: str, seed: int, speed: float | None) -> None:
     """Serve commands until standard input ends."""
     options = DemoCellOptions(scene, seed, out, speed, calibration(scene, seed))
+    robot: asyncio.StreamWriter | None = None
     async with open_demo_cell(options, Quiet()) as cell:
         say(f"ready {cell.socket}")
         while command := (await asyncio.to_thread(sys.stdin.readline)).strip():
@@ -60,6 +61,14 @@ async def main(out: Path, scene: str, seed: int, speed: float | None) -> None:
                 case "on":
                     cell.simulated.camera.mend()
                     say("on")
+                case "connect":
+                    _, robot = await asyncio.open_connection(*cell.address)
+                    while not cell.context.robot.connected:  # noqa: ASYNC110 - it has no event
+                        await asyncio.sleep(0.01)
+                    say("connected")
+                case "disconnect" if robot is not None:
+                    robot.close()
+                    say("disconnected")
                 case _:
                     say(f"unknown {command}")
 

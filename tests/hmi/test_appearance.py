@@ -1,6 +1,7 @@
 """Every page is accessible and fits, in both languages, light and dark, from a panel to a large screen."""
 
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -34,8 +35,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def settle(page: Page, path: str, cell: Cell) -> None:
     """Load a page and wait until it shows what it is there for."""
     page.goto(f"/history/cycles/{cell.kept_cycle()}" if path == "/history" else path)
-    if path in {"/", "/run", "/history"}:
+    if path in {"/", "/run", "/tune", "/history"}:
         expect(page.locator("slab-picture .stage").first).to_be_visible()
+    if path == "/tune":
+        expect(page.locator("#tune")).to_have_attribute("data-runs", re.compile("[1-9]"))
     if path == "/doctor":
         expect(page.locator(".finding").first).to_be_visible()
 

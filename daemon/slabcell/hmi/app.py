@@ -92,7 +92,7 @@ def _route(hmi: Hmi, page: Page, route: HmiRoute) -> Route:
         except Exception as error:  # noqa: BLE001 - the HMI goes on; a traceback without values holds no secrets
             _log.error("page failed", path=request.url.path, traceback="".join(traceback.format_exception(error)))
             response = visit.problem(HTTPStatus.INTERNAL_SERVER_ERROR, visit.words("refused.failed"))
-        if route.method == "POST":
+        if route.method == "POST" and (route.logged or response.status_code >= HTTPStatus.BAD_REQUEST):
             user = visit.session.user if visit.session else None
             await hmi.audit.add(
                 *(user.name if user else "", user.role.word if user else "", visit.address),

@@ -27,7 +27,7 @@ class HmiRoute:
 
     A POST is refused unless it comes from one of our own pages, in the session for which that was made, and it is in
     the audit log whatever becomes of it.  ``body_bytes`` bounds what it may carry; ``raw`` is the media type of content
-    that is no form.
+    that is no form.  Only what changes nothing, and is asked for often, may stay out of the log (``logged``).
     """
 
     method: Literal["GET", "POST"]
@@ -36,6 +36,7 @@ class HmiRoute:
     role: Role | None
     body_bytes: int = FORM_BYTES
     raw: str | None = None
+    logged: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -64,13 +64,14 @@ class DemoCell:
         self.context = context
         self.socket = socket
         """Of the control API."""
-        self._address = address
+        self.address = address
+        """Where the robot meets the cell."""
         self._speed = options.speed
         self._seed = options.seed
         self._controller = self._switch_on()
 
     def _switch_on(self) -> SoftwareKrc:
-        return self.simulated.controller(self._address, seed=self._seed, speed=self._speed)
+        return self.simulated.controller(self.address, seed=self._seed, speed=self._speed)
 
     def strew(self) -> None:
         """Take what was laid away and strew new slabs; only while the robot's program does not run."""

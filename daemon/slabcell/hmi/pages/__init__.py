@@ -1,6 +1,6 @@
 """Which pages are there?  One folder each: its routes, its templates, its words.  A new page is one more line here."""
 
-from slabcell.hmi.pages import about, account, alarms, doctor, history, overview, run, shell, users
+from slabcell.hmi.pages import about, account, alarms, doctor, history, overview, run, shell, tune, users
 from slabcell.hmi.route import Page
 
 __all__ = ["PAGES"]
@@ -8,6 +8,7 @@ __all__ = ["PAGES"]
 PAGES: tuple[Page, ...] = (
     overview.PAGE,
     run.PAGE,
+    tune.PAGE,
     history.PAGE,
     alarms.PAGE,
     doctor.PAGE,

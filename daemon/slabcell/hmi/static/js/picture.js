@@ -8,6 +8,8 @@ import { watch } from "./live.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 const MAX_SCALE = 16;
+/** More refused blobs than these have their reason in their title only: their words would cover the picture. */
+const MAX_NAMED = 20;
 
 /** @typedef {[number, number]} Point */
 /** @typedef {{slot: number, score: number, image: {u: number, v: number, angle_deg: number}, outline_px?: Point[]}} Part */
@@ -150,6 +152,24 @@ export class SlabPicture extends HTMLElement {
   }
 
   /**
+   * Show a file that may be reduced, of a picture of so many pixels; false if another one was asked for meanwhile.
+   * @param {string} src
+   * @param {{width: number, height: number}} size
+   * @param {Overlay | null} overlay
+   */
+  async present(src, size, overlay) {
+    if (!this.#built) this.#build();
+    if (this.#image.getAttribute("src") !== src) {
+      this.#image.src = src;
+      await this.#image.decode().catch(() => undefined);
+      if (this.#image.getAttribute("src") !== src) return false;
+    }
+    this.#resize(size.width, size.height);
+    this.draw(overlay);
+    return true;
+  }
+
+  /**
    * @param {number} width
    * @param {number} height
    */
@@ -171,16 +191,17 @@ export class SlabPicture extends HTMLElement {
   draw(overlay) {
     const text = this.#size.width / 36;
     const reasons = JSON.parse(this.dataset.reasons ?? "{}");
-    const groups = (overlay?.rejected ?? []).map((item) => {
+    const named = (overlay?.rejected.length ?? 0) <= MAX_NAMED;
+    const groups = (overlay?.rejected ?? []).map((item, index) => {
       const reason = reasons[item.reason] ?? item.reason;
       const path = outline(item.outline_px ?? []);
       return svg(
         "g",
-        { class: "rejected" },
+        { class: "rejected", "data-index": index },
         svg("title", {}, document.createTextNode(`${(this.dataset.rejected ?? "").replace("{reason}", reason)} ${item.detail}`)),
         svg("path", { class: "under", d: path }),
         svg("path", { d: path }),
-        svg("text", { x: item.image.u, y: item.image.v, "font-size": text * 0.7 }, document.createTextNode(reason)),
+        ...(named ? [svg("text", { x: item.image.u, y: item.image.v, "font-size": text * 0.7 }, document.createTextNode(reason))] : []),
       );
     });
     for (const part of overlay?.parts ?? []) {
@@ -247,7 +268,7 @@ export class SlabPicture extends HTMLElement {
   #place(at) {
     this.#at = at;
     this.#stage.style.transform = `translate(${at.x}px, ${at.y}px) scale(${at.scale})`;
-    this.#overlay.style.setProperty("--px", String(1 / at.scale));
+    this.#stage.style.setProperty("--px", String(1 / at.scale));
     this.#image.style.imageRendering = at.scale > 2 ? "pixelated" : "auto";
   }
 
