@@ -45,6 +45,8 @@ from slabcell_drivers.robot.protocol import Answer, Request, ResultCode
 
 __all__ = ["Cell"]
 
+STOP_PATIENCE_S = 0.5
+
 _AT_LEISURE = frozenset({CellState.INITIALIZED, CellState.READY, CellState.HALTED})
 """States in which nothing is under way.  `initialized` lasts only where there is no calibration."""
 
@@ -198,7 +200,14 @@ class Cell:
         await self._preparation.finish(self._calibration, self.recipe.name)
 
     async def stop(self) -> None:
-        """Take back what the robot has not begun with, and end every thread; may be called twice."""
+        """Take back what the robot has not begun with, and end every thread; may be called twice.
+
+        A request that waits for a picture is given up soon: what it had not written yet never was.
+        """
+        if self._tasks:
+            _, late = await asyncio.wait(self._tasks, timeout=STOP_PATIENCE_S)
+            for task in late:
+                task.cancel()
         async with self._turn:
             if self.state is not CellState.PREOPERATIONAL:
                 self._cycles.end()
@@ -208,7 +217,7 @@ class Cell:
                     self._log.warning("offers not taken back", error=str(error))
                 await self._machine.fire(CellEvent.STOP, "stop")
                 self._cycles.settle()
-        await asyncio.gather(*self._tasks)
+        await asyncio.gather(*self._tasks, return_exceptions=True)
         await self._looking.close()
         await self._cycles.close()
 

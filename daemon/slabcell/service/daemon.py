@@ -39,6 +39,7 @@ from slabcell.service.config_layers import load_config
 from slabcell.service.config_reload import Reloader
 from slabcell.service.devices import InstanceLock, api_socket, make_camera, state_directory
 from slabcell.service.disk_watch import DiskWatch
+from slabcell.service.ending import ended_in_time
 from slabcell.service.event_feed import EventFeed
 from slabcell.service.frames import FrameStore
 from slabcell.service.history import History
@@ -75,7 +76,9 @@ async def run_daemon(path: Path, *, ready: Callable[[tuple[str, int]], None] | N
     used = {"recipe": shelf.active, "calibration": calibrations.active}
     parts = read_parts(config.model_copy(update=used))
     stopping, reload = asyncio.Event(), asyncio.Event()
-    with _signals({signal.SIGTERM: stopping, signal.SIGINT: stopping, signal.SIGHUP: reload}), InstanceLock(folder):
+    with contextlib.ExitStack() as ending:
+        ending.enter_context(_signals({signal.SIGTERM: stopping, signal.SIGINT: stopping, signal.SIGHUP: reload}))
+        ending.enter_context(InstanceLock(folder))
         async with running_cell(config, parts, folder) as (context, address, ledger):
             context.config_path = path
             recipe = context.cell.recipe.name
@@ -87,6 +90,7 @@ async def run_daemon(path: Path, *, ready: Callable[[tuple[str, int]], None] | N
             reloader = Reloader(path, config, context.cell, context.pending_reload, context.tell_config)
             async with _beside(_reloading(reload, reloader), *_watchdog(context.cell, ledger)):
                 await stopping.wait()
+                ending.enter_context(ended_in_time())
             notify("STOPPING=1")
             _log.info("stopping")
 

@@ -22,7 +22,8 @@ from slabcell_drivers.robot.modbus import ModbusGripper, ModbusTcpServer
 
 __all__ = ["serve_robot"]
 
-STOP_TIMEOUT_S = 5.0
+STOP_TIMEOUT_S = 1.0
+"""So long the robot's request under way may take when the cell stops; nobody is told its answer any more."""
 ADDRESS_EVERY_S = 1.0
 
 _log = structlog.get_logger(__name__)
@@ -63,8 +64,15 @@ async def serve_robot(config: CellConfig, robot: RobotWatch, alarms: Alarms) -> 
         try:
             yield where
         finally:
-            async with asyncio.timeout(STOP_TIMEOUT_S):
-                await link.stop()
+            await _stop(link)
+
+
+async def _stop(link: RobotLink) -> None:
+    try:
+        async with asyncio.timeout(STOP_TIMEOUT_S):
+            await link.stop()
+    except TimeoutError:
+        _log.warning("the robot's request did not end in time", limit_s=STOP_TIMEOUT_S)
 
 
 def _met(link: RobotLink, robot: RobotWatch, where: tuple[str, int]) -> tuple[str, int]:
@@ -85,8 +93,7 @@ async def _started_later(
     finally:
         waiting.cancel()
         await asyncio.gather(waiting, return_exceptions=True)
-        async with asyncio.timeout(STOP_TIMEOUT_S):
-            await link.stop()
+        await _stop(link)
 
 
 async def _start_when_there(link: RobotLink, handler: Handler, robot: RobotWatch, where: tuple[str, int]) -> None:
