@@ -33,7 +33,8 @@ _log = structlog.get_logger(__name__)
 
 LOOK_S: Final = 0.5
 """A camera that answers, answers within milliseconds; this long is silence."""
-WATCH_EVERY_S: Final = 0.5
+WATCH_EVERY_S: Final = 0.4
+"""Two looks without an answer mean that the camera is lost: with `LOOK_S` that is known within 2 s."""
 RETRY_EVERY_S: Final = 0.2
 CONNECT_S: Final = 10.0
 CONNECT_TRIES: Final = 3

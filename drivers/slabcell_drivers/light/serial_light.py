@@ -7,6 +7,7 @@ connects it again and sets every channel as it was.
 
 import asyncio
 import contextlib
+import math
 import termios
 import time
 from collections.abc import Callable
@@ -29,6 +30,8 @@ __all__ = ["SerialLight"]
 
 TRIES = 2
 READ_S = 0.05
+CHECK_WITHIN_S = 1.4
+"""A controller that does not answer a check, and the same again, in this time is lost: that is known within 2 s."""
 
 _T = TypeVar("_T")
 _log = structlog.get_logger(__name__)
@@ -134,24 +137,25 @@ class SerialLight:
 
     def _ping(self) -> str:
         channel = next(iter(self._settings), 1)
-        return self._ask(self._preset.check_command(channel, on=channel in self._settings))
+        command = self._preset.check_command(channel, on=channel in self._settings)
+        return self._ask(command, time.monotonic() + CHECK_WITHIN_S)
 
     def _send_all(self, commands: list[bytes]) -> None:
         for command in commands:
             self._ask(command)
 
-    def _ask(self, command: bytes) -> str:
+    def _ask(self, command: bytes, until_s: float = math.inf) -> str:
         problem: Exception | None = None
         for _ in range(TRIES):
             try:
-                return self._preset.judge(self._exchange(command), command)
+                return self._preset.judge(self._exchange(command, until_s), command)
             except (OSError, ValueError, termios.error) as error:  # LightRefused is none: who refuses is there
                 problem = error
                 _log.debug("light.no_answer", url=self._url, command=command, error=str(error))
         self._disconnect()
         raise LightLost(f"{self._url}: the controller does not answer: {problem}; check power and cable") from problem
 
-    def _exchange(self, command: bytes) -> str:
+    def _exchange(self, command: bytes, until_s: float) -> str:
         port = self._port
         if port is None:
             raise OSError("the line is not open")
@@ -162,10 +166,11 @@ class SerialLight:
         port.write(command)
         self._sent_s = time.monotonic()
         end, reply = self._preset.reply_end.encode("ascii"), bytearray()
-        deadline_s = self._sent_s + self._preset.reply_timeout_ms / 1000.0
+        deadline_s = min(self._sent_s + self._preset.reply_timeout_ms / 1000.0, until_s)
         while not reply.endswith(end):
             if time.monotonic() > deadline_s:
-                raise TimeoutError(f"no reply within {self._preset.reply_timeout_ms} ms, {bytes(reply)[:40]!r} came")
+                waited_ms = (deadline_s - self._sent_s) * 1000.0
+                raise TimeoutError(f"no reply within {waited_ms:.0f} ms, {bytes(reply)[:40]!r} came")
             if len(reply) >= MAX_REPLY_BYTES:
                 raise ValueError(f"{len(reply)} bytes without the end of a reply")
             reply += port.read(1)

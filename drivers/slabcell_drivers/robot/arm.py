@@ -167,8 +167,9 @@ class ArmModel:
     def _nearest(self, branch: Axes, reference: Axes) -> Axes | None:
         """Return the branch with the whole turns that bring each axis nearest to the reference; None beyond a limit."""
         chosen: list[float] = []
-        for i, (angle, target) in enumerate(zip(branch, reference, strict=True)):
-            if abs(angle - target) < HALF_TURN_DEG and self.axis_min_deg[i] <= angle <= self.axis_max_deg[i]:
+        limits = zip(branch, reference, self.axis_min_deg, self.axis_max_deg, strict=True)
+        for i, (angle, target, low, high) in enumerate(limits):
+            if low <= angle <= high and -HALF_TURN_DEG < angle - target < HALF_TURN_DEG:
                 chosen.append(angle)  # no whole turn brings it nearer
                 continue
             angles = self._turns_of(i, angle)
