@@ -39,7 +39,7 @@ from slabcell.service.config_layers import load_config
 from slabcell.service.config_reload import Reloader
 from slabcell.service.devices import InstanceLock, api_socket, make_camera, state_directory
 from slabcell.service.disk_watch import DiskWatch
-from slabcell.service.ending import ended_in_time
+from slabcell.service.ending import close_camera, ended_in_time
 from slabcell.service.event_feed import EventFeed
 from slabcell.service.frames import FrameStore
 from slabcell.service.history import History
@@ -67,7 +67,7 @@ async def run_daemon(path: Path, *, ready: Callable[[tuple[str, int]], None] | N
     """Run the cell of a configuration file until SIGTERM or SIGINT; ``ready`` is told where robot and cell meet.
 
     Raises ConfigurationError, CalibrationError, RecipeError, TemporaryError (a second instance) or UnavailableError
-    (the address is taken) before anything runs.
+    (the address is taken) before anything runs.  After the signal the process itself ends, within 5 s.
     """
     config = load_config(path)
     folder = state_directory(config.state_directory)
@@ -137,7 +137,7 @@ async def running_cell(
         links.changed = feed.link_changed
         light = LightReport()
         camera = with_light(camera or make_camera(config.camera), config.light, light)
-        stack.push_async_callback(camera.close)
+        stack.push_async_callback(close_camera, camera)
         cell, ledger = await stack.enter_async_context(open_cell(parts, camera, folder))
         stack.callback(cell.subscribe(feed.see))
         light.tell_to(cell.alarms, links)
