@@ -195,6 +195,7 @@ def test_layers_that_are_off_are_passed_over_and_layers_can_be_chosen() -> None:
     raw = drawing(ring(layer="STONE"), ring(10, layer="NOTES"), hide)
     assert [slot.layer for slot in read_drawing(raw).slots] == ["STONE"]
     assert [slot.layer for slot in read_drawing(raw, DrawingOptions(layers=("notes",))).slots] == ["NOTES"]
+    assert len(read_drawing(drawing(ring(layer="BARE")), DrawingOptions(layers=("bare",))).slots) == 1
     assert "no layer 'ROOF'" in faults(read_drawing(raw, DrawingOptions(layers=("ROOF",))))["no_layer"]
 
 

@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 from typing import Annotated, Any
-from urllib.parse import quote
+from urllib.parse import quote, urlencode
 
 import typer
 from rich.console import Console
@@ -56,12 +56,17 @@ def save_command(
     template: Annotated[
         Path | None, typer.Option("--template", metavar="CSV", help="Another template than that of NAME.")
     ] = None,
+    new: Annotated[
+        str | None, typer.Option("--as", metavar="NEW", help="Save it as a new recipe of this name, not as a version.")
+    ] = None,
     socket: Socket = None,
     *,
     as_json: AsJson = False,
 ) -> None:
-    """Save parameters as a new version of a recipe on the running cell.  It is not active yet."""
+    """Save parameters as a new version of a recipe on the running cell, or as a new one.  It is not active yet."""
     body: dict[str, Any] = {"toml": read_file(file).decode("utf-8", "replace")}
+    if new is not None:
+        body["name"] = new
     if template is not None:
         body["template_csv"] = read_file(template).decode("utf-8", "replace")
     document = client(socket).post(path_of(name, "versions"), body)
@@ -69,6 +74,33 @@ def save_command(
         print_json(document)
     else:
         typer.echo(document["name"])
+
+
+def template_command(
+    name: Name,
+    file: Annotated[
+        Path | None, typer.Argument(metavar="FILE", help="A CSV file or DXF drawing instead of the recipe's template.")
+    ] = None,
+    unit: Annotated[str | None, typer.Option(help="Unit of a drawing that names none.")] = None,
+    layer: Annotated[list[str] | None, typer.Option(help="Layer of the slabs in a drawing; repeatable.")] = None,
+    socket: Socket = None,
+    *,
+    as_json: AsJson = False,
+) -> None:
+    """Say what the running cell finds about a recipe's template, or about a file with this recipe's gripper."""
+    if file is None:
+        document = client(socket).get(path_of(name, "template"))
+    else:
+        query = urlencode({"recipe": name, "layers": ",".join(layer or ()), **({"unit": unit} if unit else {})})
+        content, media_type = read_file(file), "application/octet-stream"
+        document = client(socket).send(f"/v1/templates/check?{query}", content, media_type)
+    if as_json:
+        print_json(document)
+        return
+    typer.echo(f"{len(document['slots'])} slots; {'it can be used' if document['usable'] else 'it cannot be used'}")
+    for item in document["findings"]:
+        place = f"{item['place']}: " if item["place"] else ""
+        typer.echo(f"{'note ' if item['advice'] else 'fault'} {place}{item['text']}")
 
 
 def diff_command(
@@ -113,3 +145,4 @@ def add_running_verbs(app: typer.Typer) -> None:
     app.command("schema")(schema_command)
     app.command("diff")(diff_command)
     app.command("save")(save_command)
+    app.command("template")(template_command)

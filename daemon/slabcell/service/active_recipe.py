@@ -9,6 +9,7 @@ return to another.
 from __future__ import annotations
 
 import json
+import re
 import threading
 from dataclasses import dataclass
 from hashlib import sha256
@@ -27,6 +28,7 @@ __all__ = ["RecipeEntry", "RecipeShelf", "version_of"]
 
 SCHEMA: Final = "slabcell.active-recipe/1"
 MAX_RECIPES: Final = 500
+NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,59}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,24 +109,33 @@ class RecipeShelf:
         root, _ = version_of(name)
         return self._configured.parent / f"{root}.graded", self._saved / f"{root}.graded"
 
-    def save(self, base: str, candidate: Candidate) -> str:
-        """Write a candidate as a new version of the recipe that it is based on; return its name.
+    def save(self, base: str, candidate: Candidate, name: str | None = None) -> str:
+        """Write a candidate as a new version of the recipe that it is based on, or as a new recipe; return its name.
 
         Raises RecipeError.
         """
+        if name is not None and not NAME.fullmatch(name):
+            msg = f"{name!r:.80} is no name of a recipe: 1 to 60 of A-Z a-z 0-9 . _ -, the first a letter or digit"
+            raise RecipeError(msg)
         root, _ = version_of(base)
         with self._lock:
             paths = self._paths()
             if len(paths) >= MAX_RECIPES:
                 msg = f"there are {len(paths)} recipes, the limit is {MAX_RECIPES}: delete some from {self._saved}"
                 raise RecipeError(msg)
-            version = 1 + max(
-                number for name, number in map(version_of, [root, *(p.stem for p in paths)]) if name == root
-            )
-            name = f"{root}~{version}"
+            remark = f"Recipe {name}, based on {base}, saved over the control API."
+            if name is None:
+                version = 1 + max(
+                    number for known, number in map(version_of, [root, *(p.stem for p in paths)]) if known == root
+                )
+                name = f"{root}~{version}"
+                remark = f"Version {version} of {root}, based on {base}, saved over the control API."
+            elif any(path.stem.casefold() == name.casefold() for path in paths):
+                msg = f"there is a recipe {name} already: choose another name, or save a version of it"
+                raise RecipeError(msg)
             reference = candidate.written.template.model_copy(update={"file": f"{name}.csv"})
             written = candidate.written.model_copy(update={"template": reference})
-            text = to_toml(written, remark=f"Version {version} of {root}, based on {base}, saved over the control API.")
+            text = to_toml(written, remark=remark)
             try:
                 self._saved.mkdir(exist_ok=True)
                 write_atomically(self._saved / f"{name}.csv", candidate.template_csv)

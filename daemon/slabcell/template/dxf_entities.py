@@ -49,6 +49,10 @@ class Layers:
             self.known[name.casefold()] = name
             if layer.is_off() or layer.is_frozen():
                 self._hidden.add(name.casefold())
+        for space in document.blocks:  # the model space is one; a layer need not be declared to be drawn on
+            for entity in space:
+                name = str(entity.dxf.get("layer", "0"))
+                self.known.setdefault(name.casefold(), name)
         self._wanted = {name.casefold() for name in wanted}
         self.missing = next((name for name in wanted if name.casefold() not in self.known), "")
         self.said = ", ".join(wanted) if wanted else "all that are shown"

@@ -37,6 +37,7 @@ from slabcell.service.api.resources import (
     simulation,
     status,
     tasks,
+    templates,
     vision,
 )
 
@@ -50,6 +51,7 @@ ENDPOINTS: tuple[Endpoint[ApiContext], ...] = (
     *results.ENDPOINTS,
     *recipes.ENDPOINTS,
     *recipe_work.ENDPOINTS,
+    *templates.ENDPOINTS,
     *calibration.ENDPOINTS,
     *calibration_views.ENDPOINTS,
     *calibration_checks.ENDPOINTS,

@@ -7,6 +7,7 @@ from typing import Final
 from slabcell.service.bench.boards import calibrate, check, detect, look_over
 from slabcell.service.bench.grading import grade
 from slabcell.service.bench.preview import preview
+from slabcell.service.bench.templates import template
 from slabcell.service.bench.work import Task, Work
 
 __all__ = ["TASKS", "Work"]
@@ -18,4 +19,5 @@ TASKS: Final[dict[str, Task]] = {
     "grade": grade,
     "preview": preview,
     "survey": look_over,
+    "template": template,
 }

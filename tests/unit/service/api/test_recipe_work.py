@@ -162,13 +162,6 @@ async def test_work_that_is_cancelled_says_so_and_only_some_runs_at_once():
     assert told.count("cancelled") == UNFINISHED
 
 
-async def test_a_template_is_checked_and_every_problem_is_said(client):
-    good = await asyncio.to_thread(client.send, "/v1/templates/check", b"0,0,30,0,30,30\n", "text/csv")
-    assert (good["problems"], [slot["area_mm2"] for slot in good["slots"]]) == ([], [450.0])
-    bad = await asyncio.to_thread(client.send, "/v1/templates/check", b"0,0,30\n1,x,2,2,3,3\n", "text/csv")
-    assert [problem.split(": ")[0] for problem in bad["problems"]] == ["template:1", "template:2"]
-
-
 async def test_the_commands_do_the_same(api, client, tmp_path):
     socket = tmp_path / "api.sock"
     trial = tmp_path / "trial.toml"

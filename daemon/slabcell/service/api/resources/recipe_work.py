@@ -1,17 +1,15 @@
-"""How does a recipe become better?  Saved as a new version, graded, verified; and is this template one?"""
+"""How does a recipe become better?  Saved as a new version or under a new name, compared, graded, verified."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
-from hashlib import sha256
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from slabcell.cell.bundle_file import BundleError
-from slabcell.errors import TemplateError
 from slabcell.service.api.context import ApiContext
 from slabcell.service.api.documents import Document, Done
 from slabcell.service.api.endpoint import Body, Call, Endpoint
@@ -24,12 +22,19 @@ from slabcell.service.bench.wire import Json
 from slabcell.service.recipe_difference import differences
 from slabcell.service.recipe_schema import unit_of
 from slabcell.service.recipes import add_graded
-from slabcell.template import parse_template
 
 __all__ = ["ENDPOINTS"]
 
-TEMPLATE_BYTES: Final = 2 << 20
 Progress = Callable[[Json], None]
+
+
+class SaveBody(ParametersBody):
+    """What is saved, and as what."""
+
+    name: Annotated[str, Field(min_length=1, max_length=60)] | None = Field(
+        default=None,
+        description="name of a new recipe, which has a graded set of its own; none: a version of the base, NAME~3",
+    )
 
 
 class SavedDocument(Document):
@@ -64,28 +69,12 @@ class GradeBody(Body):
     cycle: Annotated[int, Field(ge=1)] = Field(description="number of an ended cycle whose bundle is kept")
 
 
-class SlotDocument(Document):
-    """One polygon of a template."""
-
-    slot: int
-    outline_mm: list[tuple[float, float]]
-    area_mm2: float
-
-
-class TemplateDocument(Document):
-    """A template, and everything that is wrong with it."""
-
-    schema_: Literal["slabcell.template-check/1"] = Field(default="slabcell.template-check/1", alias="schema")
-    problems: list[str] = Field(description="each with line and column; empty if it can be used")
-    slots: list[SlotDocument] = Field(description="empty if there are problems")
-    sha256: str
-
-
 async def _save(call: Call[ApiContext]) -> SavedDocument:
     context, name = call.context, call.text("name")
     await known_path(context, name)
     candidate = await candidate_of(context, name, call.body)
-    return SavedDocument(name=await asyncio.to_thread(recipes_of(context).save, name, candidate))
+    said: SaveBody = call.body
+    return SavedDocument(name=await asyncio.to_thread(recipes_of(context).save, name, candidate, said.name))
 
 
 async def _compare(call: Call[ApiContext]) -> DifferenceDocument:
@@ -130,28 +119,12 @@ async def _grade(call: Call[ApiContext]) -> Done:
     return Done(detail=f"{kept.name} belongs to the graded set of {name}")
 
 
-async def _template(call: Call[ApiContext]) -> TemplateDocument:
-    try:
-        found = await asyncio.to_thread(parse_template, call.raw, "template")
-    except TemplateError as error:
-        return TemplateDocument(problems=list(error.problems), slots=[], sha256=sha256(call.raw).hexdigest())
-    slots = [
-        SlotDocument(
-            slot=number,
-            outline_mm=[(float(x), float(y)) for x, y in slot.vertices],
-            area_mm2=round(slot.area_mm2, 3),
-        )
-        for number, slot in enumerate(found.slots)
-    ]
-    return TemplateDocument(problems=[], slots=slots, sha256=found.sha256)
-
-
 _TAG = "recipes"
 ENDPOINTS = (
     Endpoint(
         *("POST", "/v1/recipes/{name}/versions", "Save parameters as a new version; it is not active yet", _save),
         *(SavedDocument, _TAG),
-        body=ParametersBody,
+        body=SaveBody,
         body_bytes=3 * PARAMETER_BYTES,
         problems=(404,),
     ),
@@ -173,12 +146,5 @@ ENDPOINTS = (
         *(Done, _TAG),
         body=GradeBody,
         problems=(404,),
-    ),
-    Endpoint(
-        *("POST", "/v1/templates/check", "Say everything that is wrong with a template (CSV)", _template),
-        *(TemplateDocument, _TAG),
-        raw="text/csv",
-        body_bytes=TEMPLATE_BYTES,
-        kept=False,
     ),
 )
