@@ -3,19 +3,18 @@
 import json
 import re
 import signal
+import subprocess
 import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Locator, Page, expect
 
-from slabcell.hmi.pages.tune.form import TABLES, field_words, form_fields, keys_of
-from slabcell.service.recipe_schema import recipe_schema
-
 from .browser import window
-from .conftest import LIMIT_S, Cell, Server, wait_for
+from .conftest import LIMIT_S, SLABCELL, Cell, Server, wait_for
 
 pytestmark = [pytest.mark.hmi, pytest.mark.timeout(300)]
 
@@ -36,7 +35,9 @@ def test_the_demo_has_recipes_calibrations_and_pictures_to_work_on(cell: Cell) -
 def test_a_graded_picture_is_looked_at_by_its_name(cell: Cell) -> None:
     cell.lay()
     recipe = cell.api.get("/v1/status")["recipe"]
-    cell.api.post(f"/v1/recipes/{recipe}/grade", {"cycle": cell.kept_cycle()})
+    words = ["recipe", "grade", recipe, "--cycle", str(cell.kept_cycle()), "--socket", str(cell.socket)]
+    said = subprocess.run([*SLABCELL, *words], capture_output=True, text=True, timeout=LIMIT_S, check=True)
+    assert f"belongs to the graded set of {recipe}" in said.stdout
     (bundle, *_) = cell.api.get(f"/v1/recipes/{recipe}")["graded"]
     done = cell.api.post("/v1/vision/preview", {"picture": f"graded:{recipe}/{bundle}"})
     file = next((cell.folder / "recipes" / f"{recipe}.graded").glob("*.zip"))
@@ -104,31 +105,6 @@ def parameter(page: Page, key: str) -> float:
     return float(field(page, key).locator("input").input_value())
 
 
-def test_every_parameter_has_its_words_in_german_and_none_is_left_over() -> None:
-    schema = recipe_schema()
-    keys = {key for table in TABLES for key in keys_of(form_fields(schema, table, "de"))}
-    words = field_words("de")
-    assert words.keys() == keys
-    assert all(said.keys() == {"label", "help"} for said in words.values())
-    assert set(field_words("en")) <= keys
-
-
-def test_the_form_says_units_ranges_and_help_of_the_schema() -> None:
-    known = {item.key: item for item in form_fields(recipe_schema(), "matching", "en")}
-    residual = known["matching.max_residual_mm"]
-    assert (residual.label, residual.unit, residual.minimum, residual.above, residual.maximum) == (
-        *("Max residual", "mm", 0, True, 50),
-    )
-    assert "root mean square distance" in residual.help
-    fields = {item.key: item for item in form_fields(recipe_schema(), "segmentation", "de")}
-    assert (fields["segmentation.roi"].kind, fields["segmentation.roi"].least) == ("points", 3)
-    assert fields["segmentation.threshold"].optional
-    assert [item.key for item in fields["segmentation.morphology"].fields] == [
-        "segmentation.morphology.operation",
-        "segmentation.morphology.size_px",
-    ]
-
-
 def test_a_changed_parameter_is_tried_at_once_shown_and_put_back(hmi: Server, browser: Browser) -> None:
     with tune(browser, hmi) as page:
         expect(page.locator("#outcome")).to_contain_text("5 of 5 slots found")
@@ -146,6 +122,7 @@ def test_a_changed_parameter_is_tried_at_once_shown_and_put_back(hmi: Server, br
         field(page, "matching.max_residual_mm").get_by_role("button", name="As active").click()
         ran(page, before + 1)
         expect(page.locator("#outcome")).to_contain_text("5 of 5 slots found")
+        expect(page.locator("#no-differences")).to_be_visible()
         expect(page.locator("#no-differences")).to_contain_text("Every parameter is as in the active recipe")
 
 
@@ -394,6 +371,90 @@ def test_a_live_picture_is_refused_in_words_while_a_robot_might_wait(cell: Cell,
             return "slots found" in page.locator("#outcome").inner_text()
 
         wait_for(asked, "a live picture")
+
+
+def test_live_pictures_are_run_one_after_the_other(hmi: Server, browser: Browser) -> None:
+    with tune(browser, hmi) as page:
+        page.locator("#source button[value=live]").click()
+        repeat = page.get_by_label("Repeat live")
+        before = runs(page)
+        repeat.check()
+        ran(page, before + 3)
+        repeat.uncheck()
+
+
+def test_the_picture_of_a_cycle_is_graded_as_right(cell: Cell, hmi: Server, browser: Browser, graded: str) -> None:
+    number = cell.kept_cycle()
+    folder = cell.folder / "recipes" / f"{graded}.graded"
+    for file in folder.glob("*.zip"):
+        file.unlink()
+    with tune(browser, hmi) as page:
+        page.locator("#tab-changes").click()
+        page.get_by_role("button", name="Check on graded pictures").click()
+        expect(page.locator("#verdict")).to_contain_text("Nothing was checked")
+        expect(page.locator("#apply")).to_be_disabled()
+        page.locator("#tab-pictures").click()
+        expect(page.get_by_role("button", name="Grade as right")).to_be_disabled()
+        before = runs(page)
+        page.locator("#picture").select_option(f"cycle:{number}")
+        ran(page, before + 1)
+        page.get_by_role("button", name="Grade as right").click()
+        expect(page.locator("#messages")).to_contain_text(f"belongs to the graded set of {graded}")
+        expect(page.locator("#picture option[value^='graded:']")).to_have_count(1)
+        assert len(list(folder.glob("*.zip"))) == 1
+
+
+def test_a_draft_outlives_a_look_at_another_page_until_it_is_discarded(hmi: Server, browser: Browser) -> None:
+    with tune(browser, hmi) as page:
+        change(page, "segmentation.min_area_mm2", "31")
+        page.goto("/history")
+        page.goto("/tune")
+        ran(page)
+        assert parameter(page, "segmentation.min_area_mm2") == 31
+        expect(page.locator("#tab-changes .count")).to_have_text("1")
+        page.locator("#tab-changes").click()
+        page.get_by_role("button", name="Discard changes").click()
+        expect(field(page, "segmentation.min_area_mm2").locator("input")).to_have_value("25")
+        expect(page.locator("#no-differences")).to_be_visible()
+
+
+def test_another_recipe_that_becomes_active_elsewhere_is_noticed(
+    cell: Cell, hmi: Server, browser: Browser, graded: str
+) -> None:
+    saved = cell.api.post(f"/v1/recipes/{graded}/versions", {"parameters": {"matching": {"min_score": 0.7}}})["name"]
+    with tune(browser, hmi) as page:
+        expect(page.locator("#base option", has_text="✓")).to_have_text(f"{graded} ✓")
+        cell.api.post(f"/v1/recipes/{saved}/activate")
+        try:
+            expect(page.locator("#base option", has_text="✓")).to_have_text(f"{saved} ✓")
+            page.locator("#stages button[value=match]").click()
+            expect(field(page, "matching.min_score").get_by_role("button", name="As active: 0.7")).to_be_visible()
+        finally:
+            cell.api.post(f"/v1/recipes/{graded}/activate")
+
+
+@pytest.mark.parametrize("colours", ["light", "dark"])
+def test_axe_finds_nothing_serious_on_any_tab_and_stage(hmi: Server, browser: Browser, colours: str) -> None:
+    with tune(browser, hmi, colours=colours) as page:
+        field(page, "segmentation.method").locator("select").select_option("dynamic_soft")
+        field(page, "segmentation.roi").get_by_role("button", name="Add a corner").click()
+        field(page, "segmentation.morphology").get_by_role("button", name="Add").click()
+        for tab, stage in (
+            ("histogram", "segment"),
+            ("pictures", "picture"),
+            ("changes", "grasp"),
+            ("results", "match"),
+        ):
+            page.locator(f"#tab-{tab}").click()
+            page.locator(f"#stages button[value={stage}]").click()
+            found = Axe().run(page).response["violations"]
+            serious = [
+                f"{item['id']}: {node['html']}"
+                for item in found
+                if item["impact"] in {"serious", "critical"}
+                for node in item["nodes"]
+            ]
+            assert serious == [], tab
 
 
 def test_without_the_cell_nothing_can_be_run(cell: Cell, hmi: Server, browser: Browser) -> None:

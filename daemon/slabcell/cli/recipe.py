@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from slabcell.cli.recipe_cell import activate_running, add_running_verbs, verify_running
+from slabcell.cli.recipe_cell import activate_running, add_running_verbs, path_of, verify_running
 from slabcell.cli.talk import Socket, client
+from slabcell.errors import UsageError
 from slabcell.service.recipes import ACTIVATION_S, DEFAULT_DEG, DEFAULT_MM, Verification, activate, add_graded, verify
 
 __all__ = ["recipe_app"]
@@ -16,7 +17,6 @@ __all__ = ["recipe_app"]
 recipe_app = typer.Typer(no_args_is_help=True)
 add_running_verbs(recipe_app)
 
-Recipe = Annotated[Path, typer.Argument(metavar="RECIPE", help="The recipe's file.")]
 FileOrName = Annotated[
     Path, typer.Argument(metavar="RECIPE", help="The recipe's file, or the name of a recipe of the running cell.")
 ]
@@ -27,12 +27,26 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 @recipe_app.command("grade")
 def grade_command(
-    recipe: Recipe,
-    bundles: Annotated[list[Path], typer.Argument(metavar="BUNDLE...", help="Cycles that you have found right.")],
+    recipe: FileOrName,
+    bundles: Annotated[
+        list[Path] | None, typer.Argument(metavar="[BUNDLE...]", help="Cycles that you have found right.")
+    ] = None,
+    cycles: Annotated[
+        list[int] | None, typer.Option("--cycle", metavar="NUMBER", help="Or their numbers on the running cell.")
+    ] = None,
+    socket: Socket = None,
 ) -> None:
-    """Add cycles that a person has looked at and found right to the recipe's graded set."""
-    for path in add_graded(recipe, bundles):
+    """Add cycles that a person has looked at and found right to the recipe's graded set.
+
+    Cycles that are named by number are kept by the running cell, for its recipe of that name.
+    """
+    if bool(bundles) == bool(cycles):
+        msg = "name bundles to add, or cycles of the running cell with --cycle"
+        raise UsageError(msg)
+    for path in add_graded(recipe, bundles or []) if bundles else ():
         typer.echo(str(path))
+    for number in cycles or ():
+        typer.echo(client(socket).post(path_of(str(recipe), "grade"), {"cycle": number})["detail"])
 
 
 @recipe_app.command("verify")

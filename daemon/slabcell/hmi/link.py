@@ -121,7 +121,9 @@ class CellLink:
 
     async def refresh(self) -> Json:
         """Return the status as it is now.  Raises SlabcellError."""
-        status = await self.api.get("/v1/status")
+        status, before = await self.api.get("/v1/status"), self.status
+        if before is not None and before["recipe"] != status["recipe"]:  # which no event of the daemon tells
+            self.tell("state")
         self.status, self.heard_s, self.problem = status, time.monotonic(), ""
         return status
 

@@ -38,6 +38,12 @@ async def _recipe(visit: Visit) -> Response:
     )
 
 
+async def _active(visit: Visit) -> Response:
+    """Return the active recipe's name as the HMI knows it: the cell is not asked."""
+    status = visit.hmi.link.status
+    return JSONResponse({"name": status["recipe"] if status else ""})
+
+
 async def _compare(visit: Visit) -> Response:
     content = said(visit)
     return await answer(visit, ask(visit, "/v1/recipes/compare", _candidate(content)))
@@ -65,7 +71,6 @@ async def _apply(visit: Visit) -> Response:
     async def work() -> Json:
         done = await ask(visit, _path(content.get("name", ""), "activate"), timeout_s=ACTIVATION_S)
         visit.outcome = str(done["detail"])
-        visit.hmi.link.tell("state")
         return done
 
     return await answer(visit, work())
@@ -82,6 +87,7 @@ def _candidate(content: Json) -> Json:
 
 ROUTES = (
     get("/tune/recipe", _recipe, Role.ENGINEER),
+    get("/tune/active", _active, Role.ENGINEER),
     json_post("/tune/compare", _compare, logged=False),
     json_post("/tune/check", _check),
     json_post("/tune/apply", _apply),

@@ -8,10 +8,10 @@ import { at, element, enable, shown, word } from "./words.js";
 /**
  * Show the changes of a draft, check them, apply them.
  * @param {import("./draft.js").Draft} draft
- * @param {(name: string) => void} applied a recipe is active now
+ * @param {(name: string) => void} begin begins anew with a recipe
  */
-export function startChanges(draft, applied) {
-  const [check, apply, undo] = ["check", "apply", "undo"].map((id) => /** @type {HTMLButtonElement} */ (at(id)));
+export function startChanges(draft, begin) {
+  const [check, apply, undo, discard] = ["check", "apply", "undo", "discard"].map((id) => /** @type {HTMLButtonElement} */ (at(id)));
   const verdict = at("verdict");
   const graded = at("graded");
   /** The parameters that were checked, and as which recipe; what may be applied, if it passed. */
@@ -56,6 +56,7 @@ export function startChanges(draft, applied) {
 
   function show() {
     enable(check, !busy);
+    discard.hidden = !draft.touched;
     enable(apply, !busy && checked.passed && isChecked() && checked.name !== draft.active.name);
     if (checked.name && !isChecked() && !busy) {
       verdict.replaceChildren(element("span", { class: "quiet" }, word("check_again")));
@@ -111,7 +112,8 @@ export function startChanges(draft, applied) {
       undo.textContent = word("undo", { name: before });
       undo.value = before;
       checked = { name: "", parameters: "", base: "", passed: false };
-      applied(name);
+      draft.forget();
+      begin(name);
     } else if (done) {
       verdict.replaceChildren(element("span", { class: done.busy ? "" : "bad" }, done.busy ? word("busy", { detail: done.problem }) : `✗ ${done.problem}`));
     }
@@ -119,6 +121,10 @@ export function startChanges(draft, applied) {
   }
 
   check.addEventListener("click", () => void run());
+  discard.addEventListener("click", () => {
+    draft.forget();
+    begin(draft.base);
+  });
   undo.addEventListener("click", () => void activate(undo.value));
   at("apply-form").addEventListener("submit", (event) => {
     event.preventDefault();

@@ -1,7 +1,9 @@
 // @ts-check
 // Which parameters does somebody try?  Those of a recipe, and what was changed; nothing of it is the cell's yet.
+// A draft stays in this tab of the browser until it is applied or discarded, also while other pages are looked at.
 import { get } from "./ask.js";
 
+const KEPT = "slabcell-draft";
 const TABLES = new Set(["template", "gates", "segmentation", "blobs", "matching", "grasp"]);
 
 /** One draft.  It tells of ``change`` (detail: key, by) and of ``load``. */
@@ -24,9 +26,29 @@ export class Draft extends EventTarget {
     if (!found) return;
     this.base = found.name;
     this.slots = found.slots;
-    this.parameters = found.parameters;
-    this.before = structuredClone(found.parameters);
+    this.before = found.parameters;
+    this.parameters = kept(name) ?? structuredClone(found.parameters);
     this.active = found.active;
+    this.dispatchEvent(new CustomEvent("load"));
+  }
+
+  /** The recipe of the draft that is kept from before; empty for none. */
+  static get kept() {
+    return JSON.parse(sessionStorage.getItem(KEPT) ?? "{}").base ?? "";
+  }
+
+  /** Keep nothing of what was changed: it is the cell's now, or nobody wants it. */
+  forget() {
+    sessionStorage.removeItem(KEPT);
+  }
+
+  /** Look whether another recipe is active now. */
+  async refresh() {
+    const found = await get("/tune/active");
+    if (!found?.name || found.name === this.active.name) return;
+    const whole = await get(`/tune/recipe?name=${encodeURIComponent(found.name)}`);
+    if (!whole) return;
+    this.active = whole.active;
     this.dispatchEvent(new CustomEvent("load"));
   }
 
@@ -51,6 +73,8 @@ export class Draft extends EventTarget {
     const table = names.reduce((inner, name) => inner[name], this.parameters);
     if (same(table[last], value)) return;
     table[last] = value;
+    if (this.touched) sessionStorage.setItem(KEPT, JSON.stringify({ base: this.base, parameters: this.parameters }));
+    else this.forget();
     this.dispatchEvent(new CustomEvent("change", { detail: { key, by } }));
   }
 
@@ -73,6 +97,15 @@ export class Draft extends EventTarget {
   get candidate() {
     return { base: this.base, parameters: this.parameters };
   }
+}
+
+/**
+ * Return the parameters that were kept as a draft of a recipe, if any were.
+ * @param {string} base
+ */
+function kept(base) {
+  const found = JSON.parse(sessionStorage.getItem(KEPT) ?? "{}");
+  return found.base === base ? found.parameters : null;
 }
 
 /**

@@ -15,6 +15,7 @@ import { at, enable, word } from "./words.js";
 
 const AFTER_A_CHANGE_MS = 350;
 const BETWEEN_LIVE_MS = 300;
+const STEADY_MS = 1000;
 
 const draft = new Draft();
 const view = new View();
@@ -112,10 +113,7 @@ function mark() {
  * @param {string} name
  */
 async function begin(name) {
-  if (![...base.options].some((option) => option.value === name)) base.append(new Option(name, name));
-  base.value = name;
   await draft.load(name);
-  for (const option of base.options) option.text = option.value + (option.value === draft.active.name ? " ✓" : "");
   await run("same");
 }
 
@@ -130,11 +128,26 @@ base.addEventListener("change", () => void begin(base.value));
 runButton.addEventListener("click", () => void run("new"));
 at("everywhere").addEventListener("change", () => void run("same"));
 at("repeat").addEventListener("change", () => isOn("repeat") && void run("new"));
-draft.addEventListener("load", mark);
+draft.addEventListener("load", () => {
+  mark();
+  for (const name of [draft.base, draft.active.name]) {
+    if (![...base.options].some((option) => option.value === name)) base.append(new Option(name, name));
+  }
+  base.value = draft.base;
+  for (const option of base.options) option.text = option.value + (option.value === draft.active.name ? " ✓" : "");
+});
 draft.addEventListener("change", () => {
   mark();
   window.clearTimeout(timer);
   if (isOn("auto")) timer = window.setTimeout(() => void run("same"), AFTER_A_CHANGE_MS);
 });
+/** @type {number | undefined} */
+let looking;
+for (const kind of ["state", "reset"]) {
+  document.body.addEventListener(`slab:${kind}`, () => {
+    window.clearTimeout(looking);
+    looking = window.setTimeout(() => void draft.refresh(), STEADY_MS);
+  });
+}
 view.buffer = "mask";
-void begin(base.value);
+void begin([...base.options].some((option) => option.value === Draft.kept) ? Draft.kept : base.value);
