@@ -111,6 +111,11 @@ class Soak:
             noted.clear()  # what the scripted parts note for tests would grow with every cycle
         self.jobs += 1
 
+    async def rest(self) -> None:
+        """Wait until the bundles that are on their way are written: how many files that takes is not of interest."""
+        while self.bench.cell._cycles._keeping or self.bench.cell._cycles._bundles._waiting:  # noqa: ASYNC110 - now and then
+            await asyncio.sleep(0.01)
+
     async def lay(self, left: int) -> bool:
         """Lay what is offered; return whether the link was lost on the way."""
         while left:
@@ -173,6 +178,7 @@ async def run(cycles: int, seed: int, folder: Path) -> None:
     for sample in range(1, SAMPLES + 1):
         while soak.cycles < cycles * sample // SAMPLES:
             await soak.job()
+        await soak.rest()
         rows.append(sizes())
         rate = soak.cycles / (time.perf_counter() - began)
         kib, files, threads = rows[-1]

@@ -187,8 +187,11 @@ class JobDesk:
         found = await self.find(result_id)
         if found is None or found.state is not _O.UNKNOWN:
             known = f"is {found.state}" if found else "is not of the present job"
-            msg = f"result {result_id} {known}: only an unknown result of the present job can be resolved"
-            raise LedgerError(msg, number=Fault.LEDGER_ERROR)
+            waiting = ", ".join(str(offer.result_id) for offer in await self.unknown()) or "none"
+            msg = (
+                f"result {result_id} {known}: only an unknown result of the present job can be resolved, now {waiting}"
+            )
+            raise LedgerError(msg)
         moved = await self._write(lambda book: book.move(result_id, state, reason="seen by a person"))
         self._emit(ResultMoved(moved))
         return moved

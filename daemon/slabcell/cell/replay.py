@@ -9,7 +9,11 @@ from slabcell.geometry import normalize_deg
 from slabcell.recipe import Recipe
 from slabcell.vision.layers import LayeredLocator
 
-__all__ = ["Difference", "Replay", "replay"]
+__all__ = ["Difference", "NothingToReplayError", "Replay", "replay"]
+
+
+class NothingToReplayError(BundleError):
+    """The bundle is sound, but no pose was offered from its picture."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,11 +45,11 @@ class Replay:
 def replay(bundle: Bundle, recipe: Recipe | None = None) -> Replay:
     """Return what vision and planning make of the recorded picture, with another recipe if one is given.
 
-    Raises BundleError if the bundle holds no picture to run again, and what the vision raises.
+    Raises NothingToReplayError if the bundle holds no picture to run again, and what the vision raises.
     """
     if bundle.verification or bundle.picture is None:
         what = "a verification, in which nothing was offered" if bundle.verification else "a cycle without a picture"
-        raise BundleError(f"{bundle.path}: is {what}; give a bundle of a cycle")
+        raise NothingToReplayError(f"{bundle.path}: is {what}; give a bundle of a cycle")
     used = recipe or bundle.recipe
     located = LayeredLocator(bundle.calibration, used).locate(
         bundle.picture, area_mm=bundle.settings.pick_area, free_slots=bundle.free_slots

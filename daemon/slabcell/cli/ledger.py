@@ -14,7 +14,6 @@ from rich.table import Table
 from slabcell.cell.ledger import LedgerError, LedgerFile
 from slabcell.cell.ledger_export import export_document, read_export, restore, set_aside, write_export
 from slabcell.cell.records import OfferState
-from slabcell.errors import UsageError
 from slabcell.service.api.client import ApiClient, default_socket
 from slabcell.service.devices import InstanceLock
 
@@ -23,9 +22,16 @@ __all__ = ["ledger_app"]
 ledger_app = typer.Typer(help="Show, export and settle the record of offers.", no_args_is_help=True)
 
 FILE_NAME = "ledger.sqlite"
+STATE_DIRECTORY = Path("/var/lib/slabcell")
+"""Where the service keeps it."""
+
 Where = Annotated[
     Path | None,
-    typer.Option("--ledger", metavar="FILE", help=f"The ledger; the default is {FILE_NAME} in $STATE_DIRECTORY."),
+    typer.Option(
+        "--ledger",
+        metavar="FILE",
+        help=f"The ledger; the default is {FILE_NAME} in $STATE_DIRECTORY, or in {STATE_DIRECTORY}.",
+    ),
 ]
 
 
@@ -144,15 +150,12 @@ def _path(ledger: Path | None) -> Path:
     if ledger is not None:
         return ledger
     state = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
-    if not state:
-        msg = "which ledger? name it with --ledger FILE, or set STATE_DIRECTORY as the service has it"
-        raise UsageError(msg)
-    return Path(state) / FILE_NAME
+    return Path(state or STATE_DIRECTORY) / FILE_NAME
 
 
 def _existing(ledger: Path | None) -> Path:
     path = _path(ledger)
     if not path.exists():
-        msg = f"{path}: there is no such ledger"
+        msg = f"{path}: there is no such ledger; name the cell's own with --ledger FILE"
         raise LedgerError(msg)
     return path

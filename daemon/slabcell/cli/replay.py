@@ -11,7 +11,7 @@ from rich.table import Table
 
 from slabcell import __version__
 from slabcell.cell.bundle_file import read_bundle
-from slabcell.cell.replay import Replay, replay
+from slabcell.cell.replay import NothingToReplayError, Replay, replay
 from slabcell.errors import SlabcellError
 from slabcell.recipe import Recipe, load_recipe
 
@@ -30,23 +30,32 @@ def replay_command(
 ) -> None:
     """Run recorded cycles again and compare the poses.
 
-    With the same version and recipe every digit must be the same.  Exit code 1 if anything differs or a bundle cannot
-    be run.
+    With the same version and recipe every digit must be the same.  Exit code 1 if anything differs, a bundle cannot be
+    run, or none was: those of verifications, in which nothing was offered, are passed over.
     """
     other = load_recipe(recipe) if recipe is not None else None
     console = Console()
-    failed = False
+    failed, compared = False, 0
     for path in bundles:
         try:
             failed |= not _one(path, other, console, as_json=as_json)
+            compared += 1
+        except NothingToReplayError as error:
+            _tell(path, error, console, "·", as_json=as_json)
         except SlabcellError as error:  # the other bundles are still worth a look
             failed = True
-            if as_json:
-                typer.echo(json.dumps({"schema": "slabcell.replay/1", "bundle": str(path), "error": str(error)}))
-            else:
-                console.print(f"✗ {error}", style="bold red", highlight=False)
-    if failed:
+            _tell(path, error, console, "✗", style="bold red", as_json=as_json)
+    if failed or not compared:
         raise typer.Exit(1)
+
+
+def _tell(
+    path: Path, error: SlabcellError, console: Console, mark: str, *, style: str | None = None, as_json: bool
+) -> None:
+    if as_json:
+        typer.echo(json.dumps({"schema": "slabcell.replay/1", "bundle": str(path), "error": str(error)}))
+    else:
+        console.print(f"{mark} {error}", style=style, highlight=False)
 
 
 def _one(path: Path, other: Recipe | None, console: Console, *, as_json: bool) -> bool:

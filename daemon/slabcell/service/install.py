@@ -124,7 +124,8 @@ def uninstall(root: Path = Path("/")) -> Report:
             _remove_if_empty(root / folder)
     except OSError as error:
         raise _named(error, root) from error
-    report.next_steps = ["systemctl disable --now slabcell-hmi.service slabcell.service", "systemctl daemon-reload"]
+    units = "slabcell-hmi.service slabcell.service"
+    report.next_steps = [f"systemctl stop {units}", f"systemctl disable {units}", "systemctl daemon-reload"]
     return report
 
 

@@ -160,7 +160,6 @@ def test_show_tells_what_became_of_each_result(path):
     assert "1 of 3 slots are laid" in run("show", STATE_DIRECTORY=str(path.parent)).stdout
     assert "holds no job 5" in str(run("show", "--ledger", path, "--job", 5, code=1).exception)
     assert "no such ledger" in str(run("show", "--ledger", path.with_name("none"), code=1).exception)
-    assert "name it with --ledger" in str(run("show", code=1, STATE_DIRECTORY="").exception)
 
 
 def test_a_person_settles_what_is_unknown_and_nothing_else(path):
@@ -176,3 +175,12 @@ def test_export_and_restore_from_the_command_line(path, tmp_path):
     assert "set aside" in run("restore", tmp_path / "e.json", "--ledger", path).stdout
     assert export(path)["tables"] == before
     assert len(list(tmp_path.glob("ledger.sqlite.corrupt.*"))) == 1
+
+
+def test_without_a_name_the_ledger_of_the_service_is_meant(tmp_path, monkeypatch):
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    monkeypatch.setattr("slabcell.cli.ledger.STATE_DIRECTORY", tmp_path)
+    missing = run("show", code=1).exception
+    assert f"{tmp_path / 'ledger.sqlite'}: there is no such ledger" in str(missing)
+    LedgerFile(tmp_path / "ledger.sqlite").close()
+    assert "no job yet" in run("show").stdout
