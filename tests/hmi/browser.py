@@ -20,6 +20,7 @@ PATHS = (
         "/",
         "/run",
         "/tune",
+        "/templates",
         "/history",
         "/history/jobs",
         "/history/placements",

@@ -12,7 +12,7 @@ from slabcell.catalogue import catalogue
 from slabcell.hmi.words import LANGUAGES, load_alarms, load_tables
 
 from .browser import PATHS, SIZES, window
-from .conftest import Cell, Server
+from .conftest import LIMIT_S, Cell, Server
 
 pytestmark = [pytest.mark.hmi, pytest.mark.timeout(300)]
 
@@ -39,6 +39,8 @@ def settle(page: Page, path: str, cell: Cell) -> None:
         expect(page.locator("slab-picture .stage").first).to_be_visible()
     if path == "/tune":
         expect(page.locator("#tune")).to_have_attribute("data-runs", re.compile("[1-9]"))
+    if path == "/templates":
+        expect(page.locator("svg.pattern .slot").first).to_be_visible(timeout=LIMIT_S * 1000)
     if path == "/doctor":
         expect(page.locator(".finding").first).to_be_visible()
 

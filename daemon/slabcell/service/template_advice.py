@@ -51,7 +51,8 @@ def _grips(recipe: Recipe) -> Iterator[Problem]:
     for number, slot in enumerate(recipe.template.slots):
         grasp = choose_grasp(slot, recipe.grasp, number)
         if grasp.point is None:
-            yield _of("no_grasp", slot, number, detail=grasp.refusal)
+            needed_mm = recipe.grasp.cup_radius_mm + recipe.grasp.margin_mm
+            yield _of("no_grasp", slot, number, detail=grasp.refusal, needed_mm=round(needed_mm, 2))
         elif grasp.lever_mm > LEVER_MM:
             at = (float(grasp.point[0]), float(grasp.point[1]))
             yield Problem(
