@@ -33,7 +33,8 @@ MAX_HALF_PX = 250.0
 MAX_SAG_PX = 3.0
 # Columns of the model: grey inside, outside, of the wall, step, slope inside, slope outside, width of the blur.
 COLUMNS = 7
-ON_WALL, STEP, WIDTH = 2, 3, 6
+ON_WALL, STEP, SLOPE_IN, SLOPE_OUT, WIDTH = 2, 3, 4, 5, 6
+SHIFT_AND_SLOPES = [STEP, SLOPE_IN, SLOPE_OUT]
 ITERATIONS = 5
 # After a step smaller than this the next one would be smaller than 1e-3 px.
 CONVERGED_PX = 0.08
@@ -104,6 +105,9 @@ class ProfileModel:
     ``noise``, ``grain_inside``, ``grain_outside``: variance of a pixel's grey from the sensor, and from the surfaces of
     slab and table at the edge; ``grain_reach_px``: distance at which the grain counts double.  ``least_scatter``: no
     piece is trusted as if it scattered less than this share of those variances.
+
+    ``slope_inside``, ``slope_outside``: how fast the grey grows with the depth beside the edge, in grey levels per
+    pixel, and with ``_sigma`` how alike that is at all edges of the picture; infinite where nothing is known.
     """
 
     sigma_px: float
@@ -119,6 +123,10 @@ class ProfileModel:
     least_scatter: float = 0.25
     wall_light_u: float = 0.0
     wall_light_v: float = 0.0
+    slope_inside: float = 0.0
+    slope_inside_sigma: float = float("inf")
+    slope_outside: float = 0.0
+    slope_outside_sigma: float = float("inf")
 
     def wall_ratios(self, lines: EdgeLines) -> Floats:
         """Return the expected grey of the wall of each piece over that of the upper face."""
@@ -133,7 +141,9 @@ class EdgeShifts:
     ``shift`` px outward; ``sigma`` px, its standard deviation from the scatter about the model; ``inside``,
     ``outside``, ``wall``: grey levels at the edge; ``valid``: whether there is an edge that the model describes;
     ``scatter``: variance of the grey about the model over the variance that was expected; ``scatter_inside``,
-    ``scatter_outside``: variance of a pixel's grey on either side of the edge; ``blur`` px: the point spread used.
+    ``scatter_outside``: variance of a pixel's grey on either side of the edge; ``blur`` px: the point spread used;
+    ``slope_inside``, ``slope_outside``: how fast the grey grows with the depth on either side, grey levels per pixel,
+    and the ``_variance`` of that from the scatter.
     """
 
     shift: Floats
@@ -146,6 +156,10 @@ class EdgeShifts:
     scatter_inside: Floats
     scatter_outside: Floats
     blur: Floats
+    slope_inside: Floats
+    slope_outside: Floats
+    slope_inside_variance: Floats
+    slope_outside_variance: Floats
 
 
 def measure_edges(grey: Grey, lines: EdgeLines, model: ProfileModel) -> EdgeShifts:
@@ -231,11 +245,15 @@ def fit_profiles(
     if not model.near:
         step = _starting_shift(count, depth, level, inside, outside, grey_of_wall, strip[:, 0], model.reach_px)
     moving = np.ones(pieces, np.bool_)
-    scatter, spread = np.zeros(pieces), np.full(pieces, 1e6)
+    scatter, spread, slopes = np.zeros(pieces), np.full((pieces, 3), 1e6), np.zeros((pieces, 2))
     error = np.zeros_like(level)
     s = np.full(pieces, model.sigma_px)
     unused = [] if model.fit_blur else [WIDTH]
     bins = (count > 0).sum(axis=1)
+    known_slopes = (
+        (SLOPE_IN, model.slope_inside, model.slope_inside_sigma**-2.0),
+        (SLOPE_OUT, model.slope_outside, np.where(strip[:, 0] > 0.0, 0.0, model.slope_outside_sigma**-2.0)),
+    )
     columns_used = COLUMNS - len(unused) - (strip[:, 0] <= 0.0)
     for _ in range(ITERATIONS):
         width = s[:, None]
@@ -260,6 +278,10 @@ def fit_profiles(
         weighted = columns * _weights(count, away, upper, strip, model)[:, None, :]
         now = weighted @ columns.transpose(0, 2, 1)
         right = (weighted @ level[:, :, None])[:, :, 0]
+        # What is known of the slopes: that outside of an edge, not that at the foot of a wall.
+        for column, mean, weight in known_slopes:
+            now[:, column, column] += weight
+            right[:, column] += mean * weight
         # What is known of the wall: its grey is wall_ratio times that of the upper face.
         known = np.maximum(scatter, 1.0 / model.noise) / np.maximum((model.wall_ratio_sigma * inside) ** 2, 1.0)
         known = np.where(strip[:, 0] > 0.0, known, 0.0)
@@ -277,7 +299,8 @@ def fit_profiles(
         change = np.clip(solution[:, STEP], -1.5, 1.5)
         wider = np.clip(solution[:, WIDTH] / s, -0.3, 0.3)
         error = np.where(moving[:, None], left, error)
-        spread = np.where(moving, np.linalg.inv(now)[:, STEP, STEP], spread)
+        spread = np.where(moving[:, None], np.linalg.inv(now)[:, SHIFT_AND_SLOPES, SHIFT_AND_SLOPES], spread)
+        slopes = np.where(moving[:, None], solution[:, [SLOPE_IN, SLOPE_OUT]], slopes)
         scatter = np.where(moving, np.sum(weights * left * left, axis=1) / np.maximum(bins - columns_used, 1), scatter)
         inside, outside = np.where(moving, solution[:, 0], inside), np.where(moving, solution[:, 1], outside)
         from_wall = np.where(strip[:, 0] > 0.0, solution[:, ON_WALL], wall_ratio * solution[:, 0])
@@ -285,14 +308,18 @@ def fit_profiles(
         step = np.clip(np.where(moving, step + change, step), -model.reach_px, model.reach_px)
         s = np.where(moving, np.clip(s * (1.0 + wider), 0.3, 4.0), s)
         moving = moving & ((np.abs(change) >= CONVERGED_PX) | (np.abs(wider) >= CONVERGED_BLUR))
-    sigma = np.sqrt(np.maximum(spread * np.maximum(scatter, model.least_scatter), 1e-12))
+    variance = spread * np.maximum(scatter, model.least_scatter)[:, None]
+    sigma = np.sqrt(np.maximum(variance[:, 0], 1e-12))
     contrast = np.abs(inside - np.where(strip[:, 0] > 2.0 * s, grey_of_wall, outside))
     valid = (count.sum(axis=1) >= 40) & (sigma < 0.5) & (np.abs(step) < model.reach_px - 2.0 * s)
     valid &= contrast > np.maximum(4.0, 0.02 * np.abs(inside))
     away = depth + step[:, None]
     on_slab = _side(count, error, away > BESIDE * s[:, None])
     on_table = _side(count, error, -away - strip > BESIDE * s[:, None])
-    return EdgeShifts(step, sigma, inside, outside, grey_of_wall, valid, scatter, on_slab, on_table, s)
+    return EdgeShifts(
+        *(step, sigma, inside, outside, grey_of_wall, valid, scatter, on_slab, on_table, s),
+        *(*slopes.T, *variance[:, 1:].T),
+    )
 
 
 def _weights(count: Floats, away: Floats, upper: Floats, strip: Floats, model: ProfileModel) -> Floats:

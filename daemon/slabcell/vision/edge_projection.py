@@ -18,6 +18,9 @@ __all__ = ["Outlines", "Poses", "ProjectedEdges", "project"]
 
 Floats = npt.NDArray[np.float64]
 
+# A wall narrower than this is not there: top and foot differ by rounding.
+LEAST_WALL_PX = 1e-3
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outlines:
@@ -136,7 +139,8 @@ def project(outlines: Outlines, maps: LocalMaps, poses: Poses, *, mirrored: bool
     # In a picture v points down: which side is outside follows from the handedness of the mapping.
     normal = np.column_stack([line[:, 1], -line[:, 0]]) * (-1.0 if mirrored else 1.0)
     sag = np.sum(normal * (0.5 * (start + stop) - centre), axis=1)
-    wall = np.maximum(np.sum(normal * (foot - centre), axis=1), 0.0)
+    wall = np.sum(normal * (foot - centre), axis=1)
+    wall = np.where(wall > LEAST_WALL_PX, wall, 0.0)
     turn = outward[:, 1] * arm[:, 0] - outward[:, 0] * arm[:, 1]
     per_mm = np.sum(normal * outwards, axis=1)
     share = half / np.maximum(np.bincount(owner, half, minlength=len(outlines))[owner], 1e-9)

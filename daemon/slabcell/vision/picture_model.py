@@ -23,6 +23,9 @@ Floats = npt.NDArray[np.float64]
 # How far from an edge pixels are used, at first and then.
 FIRST_REACH_PX: Final = 9.0
 REACH_PX: Final = 6.0
+# Once blur and slopes are known: so far, and so many widths of the blur.
+NEAR_REACH_PX: Final = 4.5
+REACH_BLURS: Final = 4.5
 # Before the picture has been asked: blur, and grey of a wall over grey of the upper face.
 SIGMA_PX: Final = 0.85
 WALL_RATIO: Final = 0.6
@@ -39,6 +42,10 @@ PROBED: Final = 8
 NOISE_SHARE: Final = 0.5
 # Grey levels squared: rounding to whole levels alone leaves this variance.
 LEAST_NOISE: Final = 0.1
+# How alike the slopes beside the edges are believed to be at most: grey levels per pixel, and as a share of what the
+# variance of their measured values is.
+LEAST_SLOPE_SIGMA: Final = 0.01
+LEAST_SLOPE_SHARE: Final = 0.1
 
 
 def picture_model(
@@ -66,9 +73,12 @@ def picture_model(
     wall_ratio, by_u, by_v, wall_ratio_sigma = _walls(shifts, edges.lines)
     enough = np.count_nonzero(steep) >= 4
     offset = _middle((shifts.shift / edges.px_per_mm)[steep]) if enough else 0.0
+    blur = _middle(shifts.blur[steep]) if enough else SIGMA_PX
+    slope_inside, slope_inside_sigma = _slope(shifts.slope_inside[steep], shifts.slope_inside_variance[steep])
+    slope_outside, slope_outside_sigma = _slope(shifts.slope_outside[steep], shifts.slope_outside_variance[steep])
     model = ProfileModel(
-        _middle(shifts.blur[steep]) if enough else SIGMA_PX,
-        REACH_PX,
+        blur,
+        min(max(NEAR_REACH_PX, REACH_BLURS * blur), REACH_PX) if enough else REACH_PX,
         wall_ratio,
         wall_ratio_sigma,
         near=True,
@@ -78,6 +88,10 @@ def picture_model(
         grain_inside=max(inside - noise, 0.0),
         grain_outside=max(outside - noise, 0.0),
         least_scatter=1.0,
+        slope_inside=slope_inside,
+        slope_inside_sigma=slope_inside_sigma,
+        slope_outside=slope_outside,
+        slope_outside_sigma=slope_outside_sigma,
     )
     return model, offset
 
@@ -94,6 +108,16 @@ def _variances(shifts: EdgeShifts, usable: npt.NDArray[np.bool_]) -> tuple[float
     inside = max(_middle(shifts.scatter_inside[usable]), LEAST_NOISE)
     outside = max(_middle(shifts.scatter_outside[usable]), LEAST_NOISE)
     return NOISE_SHARE * min(inside, outside), inside, outside
+
+
+def _slope(slopes: Floats, variances: Floats) -> tuple[float, float]:
+    """Return the mean slope on one side of edges, and how much they truly differ: the spread less the measurement's."""
+    if len(slopes) < 4:
+        return 0.0, float("inf")
+    mean = _middle(slopes)
+    measured = (1.4826 * _middle(np.abs(slopes - mean))) ** 2
+    true = max(measured - _middle(variances), LEAST_SLOPE_SHARE * measured, LEAST_SLOPE_SIGMA**2)
+    return mean, float(np.sqrt(true))
 
 
 def _walls(shifts: EdgeShifts, lines: EdgeLines) -> tuple[float, float, float, float]:

@@ -47,6 +47,8 @@ MAX_OVERLAP, MAX_UNFILLED = 0.02, 0.03
 SAME_PLACE = 0.8
 # What is seen of a slab is only a part of its outline: that part must fit better than a whole one would have to.
 MIN_COVERAGE, RESIDUAL_SHARE = 0.98, 0.5
+# A part of an outline fits many slots if they may be larger or smaller at will: one saw has cut all slabs of a blob.
+KERF_PX = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -191,16 +193,23 @@ def _explain(
     chosen: list[list[Registration]] = []
     laid: list[Polygon] = []
     taken: set[int] = set()
+    # The one that is seen best comes first, and says what the saw has taken.
+    kerf_mm: float | None = None
     for index in order:
         item, slot = registered[index], numbers[index]
         if item.coverage < MIN_COVERAGE or item.residual_mm > RESIDUAL_SHARE * limits.max_residual_mm:
+            continue
+        if kerf_mm is None:
+            kerf_mm = item.kerf_mm
+        if abs(item.kerf_mm - kerf_mm) > KERF_PX * prepared.plane.mm_per_px:
             continue
         polygon = prepared.slots[slot].transformed(item.motion)
         own = item._replace(candidate=item.candidate._replace(slot=slot))
         covered = [_overlap(polygon, other) / polygon.area_mm2 for other in laid]
         place = next((number for number, share in enumerate(covered) if share > SAME_PLACE), None)
         if place is not None:
-            chosen[place].append(own)
+            if all(share <= MAX_OVERLAP for number, share in enumerate(covered) if number != place):
+                chosen[place].append(own)
         elif slot not in taken and all(share <= MAX_OVERLAP for share in covered):
             chosen.append([own])
             laid.append(polygon)

@@ -17,6 +17,7 @@ from slabcell.vision.native import NativeEngine
 from slabcell.vision.outline_set import OutlineSet
 from slabcell.vision.plane import PlaneView
 from slabcell.vision.pose_solver import Measured
+from slabcell_drivers.simulation.surfaces import smooth_noise
 
 from .pictures import calibration, recipe
 
@@ -92,8 +93,15 @@ def test_a_flat_picture_has_no_edge():
             wall_light_u=0.1,
             wall_light_v=-0.2,
         ),
+        ProfileModel(
+            *(0.9, 6.0, 0.6, 0.1, True),
+            slope_inside=0.3,
+            slope_inside_sigma=0.2,
+            slope_outside=-0.1,
+            slope_outside_sigma=0.05,
+        ),
     ],
-    ids=["far", "near", "blur", "grain"],
+    ids=["far", "near", "blur", "grain", "slopes known"],
 )
 @pytest.mark.parametrize("top", [1, 200], ids=["8 bit", "16 bit"])
 def test_the_kernel_gives_the_numbers_of_the_reference(model: ProfileModel, top: int):
@@ -114,6 +122,26 @@ def test_the_kernel_gives_the_numbers_of_the_reference(model: ProfileModel, top:
     assert found.scatter_inside[both] == pytest.approx(reference.scatter_inside[both], rel=0.1, abs=1e-3)
     assert found.scatter_outside[both] == pytest.approx(reference.scatter_outside[both], rel=0.1, abs=1e-3)
     assert found.blur[both] == pytest.approx(reference.blur[both], abs=1e-4 if top == 1 else 1e-3)
+    for name in ("slope_inside", "slope_outside"):
+        mine, theirs = getattr(found, name)[both], getattr(reference, name)[both]
+        mine_var, theirs_var = getattr(found, f"{name}_variance")[both], getattr(reference, f"{name}_variance")[both]
+        assert mine_var == pytest.approx(theirs_var, rel=0.1)
+        assert np.all(np.abs(mine - theirs) <= (0.02 if top == 1 else 0.1) * np.sqrt(theirs_var) + 1e-3)
+
+
+def test_an_edge_is_found_more_exactly_where_the_slopes_beside_it_are_known():
+    """Grain of long waves looks like a slope: known slopes keep it from passing for the edge."""
+    random = np.random.default_rng(8)
+    known = ProfileModel(0.9, 4.5, 0.6, 0.1, near=True, slope_inside_sigma=0.3, slope_outside_sigma=0.3)
+    free = ProfileModel(0.9, 4.5, 0.6, 0.1, near=True)
+    shifts: dict[str, list[float]] = {"known": [], "free": []}
+    for _ in range(30):
+        picture, lines = step_edge(random.uniform(0, 360), 0.0)
+        grain = np.asarray(smooth_noise(WIDTH, HEIGHT, int(random.integers(1 << 30)), (6.0,)))
+        grainy = np.clip(np.rint(picture + 3.0 * grain), 0, 255).astype(np.uint8)
+        for name, model in (("known", known), ("free", free)):
+            shifts[name].append(float(edge_profile.measure_edges(grainy, lines, model).shift[0]))
+    assert np.std(shifts["known"]) < 0.85 * np.std(shifts["free"])
 
 
 @compiled

@@ -43,8 +43,12 @@ from slabcell.vision.picture_model import (
     FIRST_REACH_PX,
     FIRST_WALL_RATIO_SIGMA,
     LEAST_NOISE,
+    LEAST_SLOPE_SHARE,
+    LEAST_SLOPE_SIGMA,
     LIGHT_SIGMA,
+    NEAR_REACH_PX,
     NOISE_SHARE,
+    REACH_BLURS,
     REACH_PX,
     SIGMA_PX,
     WALL_RATIO,
@@ -70,7 +74,7 @@ from slabcell.vision.thresholds import LOGARITHMS, Split
 
 __all__ = ["FAST_LIBRARY", "LIBRARY", "NativeEngine"]
 
-LINE_FIELDS, RESULT_FIELDS, EXTRA_FIELDS, MAP_FIELDS, FOUND_FIELDS = 7, 10, 8, 63, 16
+LINE_FIELDS, RESULT_FIELDS, EXTRA_FIELDS, MAP_FIELDS, FOUND_FIELDS = 7, 14, 8, 63, 16
 CANDIDATE_FIELDS, PART_FIELDS = 6, 13
 # Numbers that a registration has to remember of each candidate, and of each of its pieces.
 REGISTER_OUTLINE, REGISTER_PIECE = 256, 48
@@ -352,5 +356,6 @@ def _settings(scale: float, mirrored: bool, rough: bool) -> Floats:  # noqa: FBT
             *(WALL_FLOOR_PX * scale, MARGIN_PX * scale),
             *(SIGMA_PX, FIRST_REACH_PX, REACH_PX, WALL_RATIO, WALL_RATIO_SIGMA, FIRST_WALL_RATIO_SIGMA),
             *(*WALL_RATIO_RANGE, LIGHT_SIGMA, NOISE_SHARE, LEAST_NOISE),
+            *(LEAST_SLOPE_SIGMA, LEAST_SLOPE_SHARE, NEAR_REACH_PX, REACH_BLURS),
         ]
     )

@@ -12,7 +12,7 @@
 #include <string.h>
 
 /* As in kernel.py: a library of another version is refused. */
-#define KERNEL_VERSION 7
+#define KERNEL_VERSION 8
 
 /* Pictures are larger than the processor's cache: what will be read next is asked for early. */
 #if defined(__GNUC__)
@@ -34,7 +34,8 @@ enum { MAP_X, MAP_Y, MAP_SIZE, MAP_TOP, MAP_FOOT = MAP_TOP + 2 * TERMS, MAP_FIEL
 enum { CANDIDATE_BLOB, CANDIDATE_SLOT, CANDIDATE_ROTATION, CANDIDATE_X, CANDIDATE_Y, CANDIDATE_DISTANCE, CANDIDATE_FIELDS };
 enum { ROW_X, ROW_Y, ROW_TURN, ROW_KERF, PX_PER_MM, SHARE, TABLE_X, TABLE_Y, EXTRA_FIELDS };
 enum {
-    SHIFT, SIGMA, INSIDE, OUTSIDE, WALL_LEVEL, VALID, SCATTER, SCATTER_INSIDE, SCATTER_OUTSIDE, BLUR, RESULT_FIELDS
+    SHIFT, SIGMA, INSIDE, OUTSIDE, WALL_LEVEL, VALID, SCATTER, SCATTER_INSIDE, SCATTER_OUTSIDE, BLUR,
+    SLOPE_INSIDE, SLOPE_OUTSIDE, SLOPE_INSIDE_VARIANCE, SLOPE_OUTSIDE_VARIANCE, RESULT_FIELDS
 };
 
 /* The normal distribution on -TABLE_REACH ... TABLE_REACH in steps of 1/TABLE_STEPS: density and integral in turn. */
@@ -45,6 +46,7 @@ enum {
 typedef struct {
     double sigma, reach, wall_ratio, wall_ratio_sigma, noise, grain_inside, grain_outside, grain_reach, least_scatter;
     double near, fit_blur, wall_light_u, wall_light_v;
+    double slope_inside, slope_inside_weight, slope_outside, slope_outside_weight;
 } Model;
 
 void slabcell_project(int outlines, const int64_t *starts, const double *pieces, const double *poses,

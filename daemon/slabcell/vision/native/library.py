@@ -10,7 +10,7 @@ LIBRARY: Final = Path(__file__).with_name("_kernel.so")
 FAST_LIBRARY: Final = Path(__file__).with_name("_kernel_v3.so")
 FAST_LEVEL: Final = 3
 # As in kernel.h.
-VERSION: Final = 7
+VERSION: Final = 8
 
 _POINTER, _SIZE, _INT, _LONG, _REAL = ctypes.c_void_p, ctypes.c_ssize_t, ctypes.c_int, ctypes.c_int64, ctypes.c_double
 _PICTURE = (_POINTER, _SIZE, _INT, _INT)

@@ -160,14 +160,16 @@ def of_model(model: ProfileModel) -> Floats:
             *(model.sigma_px, model.reach_px, model.wall_ratio, model.wall_ratio_sigma),
             *(model.noise, model.grain_inside, model.grain_outside, model.grain_reach_px, model.least_scatter),
             *(float(model.near), float(model.fit_blur), model.wall_light_u, model.wall_light_v),
+            *(model.slope_inside, model.slope_inside_sigma**-2.0),
+            *(model.slope_outside, model.slope_outside_sigma**-2.0),
         ]
     )
 
 
 def shifts(results: Floats) -> EdgeShifts:
     """Return what the kernel wrote of each piece, (n, RESULT_FIELDS)."""
-    shift, sigma, inside, outside, wall, valid, scatter, on_slab, on_table, blur = results.T
-    return EdgeShifts(shift, sigma, inside, outside, wall, valid > 0.5, scatter, on_slab, on_table, blur)
+    shift, sigma, inside, outside, wall, valid, *others = results.T
+    return EdgeShifts(shift, sigma, inside, outside, wall, valid > 0.5, *others)
 
 
 def normal_distribution() -> Floats:

@@ -55,11 +55,9 @@ static void normal_distribution(int n, const double *restrict table, const doubl
     }
 }
 
-/* Solves a symmetric positive definite system in place; `inverse_at` gives one diagonal element of the inverse. */
-static int solve(int n, double a[COLUMNS][COLUMNS], double b[COLUMNS], int inverse_at, double *inverse)
+/* Factorises a symmetric positive definite matrix in place (Cholesky); `diagonal` gets one over that of the factor. */
+static int factorise(int n, double a[COLUMNS][COLUMNS], double diagonal[COLUMNS])
 {
-    double unit[COLUMNS] = {0}, diagonal[COLUMNS];
-    unit[inverse_at] = 1.0;
     for (int i = 0; i < n; i++) {
         for (int j = 0; j <= i; j++) {
             double sum = a[i][j];
@@ -74,25 +72,38 @@ static int solve(int n, double a[COLUMNS][COLUMNS], double b[COLUMNS], int inver
             }
         }
     }
-    double norm = 0.0;
+    return 1;
+}
+
+/* Solves the system of the factorised matrix in place. */
+static void solve(int n, double a[COLUMNS][COLUMNS], const double diagonal[COLUMNS], double b[COLUMNS])
+{
     for (int i = 0; i < n; i++) {
-        double sum = b[i], other = unit[i];
-        for (int k = 0; k < i; k++) {
+        double sum = b[i];
+        for (int k = 0; k < i; k++)
             sum -= a[i][k] * b[k];
-            other -= a[i][k] * unit[k];
-        }
         b[i] = sum * diagonal[i];
-        unit[i] = other * diagonal[i];
-        norm += unit[i] * unit[i];
     }
-    *inverse = norm;
     for (int i = n - 1; i >= 0; i--) {
         double sum = b[i];
         for (int k = i + 1; k < n; k++)
             sum -= a[k][i] * b[k];
         b[i] = sum * diagonal[i];
     }
-    return 1;
+}
+
+/* One diagonal element of the inverse of the factorised matrix. */
+static double inverse_at(int n, double a[COLUMNS][COLUMNS], const double diagonal[COLUMNS], int at)
+{
+    double column[COLUMNS] = {0}, norm = 0.0;
+    for (int i = at; i < n; i++) {
+        double sum = i == at ? 1.0 : 0.0;
+        for (int k = at; k < i; k++)
+            sum -= a[i][k] * column[k];
+        column[i] = sum * diagonal[i];
+        norm += column[i] * column[i];
+    }
+    return norm;
 }
 
 /* One row of the normal equations: what column `p` gives with itself and those before it, and with the levels.  Written
@@ -197,7 +208,7 @@ static void fit(int bins, double filled, double *restrict count, double *restric
             at_step = columns;
         used[columns++] = p;
     }
-    double scatter = 0.0, spread = 1e6;
+    double scatter = 0.0, normal[COLUMNS][COLUMNS], diagonal[COLUMNS], right[COLUMNS];
     for (int iteration = 0; iteration < ITERATIONS; iteration++) {
         const double per_s = 1.0 / s, taper = 1.0 / model->grain_reach, contrast = inside - outside;
         const double noise = model->noise, grainy = model->grain_inside, grainy_outside = model->grain_outside;
@@ -232,7 +243,6 @@ static void fit(int bins, double filled, double *restrict count, double *restric
                 column[WIDTH][i] = -(first * place[i] + second * beyond[i]) * per_s;
             }
         }
-        double normal[COLUMNS][COLUMNS], right[COLUMNS];
         const double *in_use[COLUMNS];
         for (int p = 0; p < columns; p++)
             in_use[p] = column[used[p]];
@@ -243,6 +253,13 @@ static void fit(int bins, double filled, double *restrict count, double *restric
         normal[at_step][at_step] += 1e-3 / model->noise;
         if (blurred)
             normal[columns - 1][columns - 1] += 1e-3 / model->noise;
+        /* What is known of the slopes: that outside of an edge, not that at the foot of a wall. */
+        normal[at_step + 1][at_step + 1] += model->slope_inside_weight;
+        right[at_step + 1] += model->slope_inside_weight * model->slope_inside;
+        if (!with_wall) {
+            normal[at_step + 2][at_step + 2] += model->slope_outside_weight;
+            right[at_step + 2] += model->slope_outside_weight * model->slope_outside;
+        }
         if (with_wall) {
             /* What is known of the wall: its grey is wall_ratio times that of the upper face. */
             const double expected = model->wall_ratio_sigma * inside;
@@ -251,10 +268,11 @@ static void fit(int bins, double filled, double *restrict count, double *restric
             normal[IN][IN] += known * wall_ratio * wall_ratio;
             normal[ON_WALL][IN] -= known * wall_ratio;
         }
-        if (!solve(columns, normal, right, at_step, &spread)) {
+        if (!factorise(columns, normal, diagonal)) {
             memset(result, 0, RESULT_FIELDS * sizeof(double));
             return;
         }
+        solve(columns, normal, diagonal, right);
         memcpy(error, level, (size_t)n * sizeof(double));
         for (int p = 0; p < columns; p++) {
             const double *mine = column[used[p]], factor = right[p];
@@ -287,7 +305,8 @@ static void fit(int bins, double filled, double *restrict count, double *restric
         on_table += beside ? square : 0.0;
         bins_on_table += beside ? here : 0.0;
     }
-    const double sigma = sqrt(fmax(spread * fmax(scatter, model->least_scatter), 1e-12));
+    const double usual = fmax(scatter, model->least_scatter);
+    const double sigma = sqrt(fmax(inverse_at(columns, normal, diagonal, at_step) * usual, 1e-12));
     const double edge = fabs(inside - (strip > 2.0 * s ? grey_of_wall : outside));
     result[SHIFT] = step;
     result[SIGMA] = sigma;
@@ -300,6 +319,10 @@ static void fit(int bins, double filled, double *restrict count, double *restric
     result[SCATTER_INSIDE] = on_slab / fmax(bins_on_slab - 2.0, 1.0);
     result[SCATTER_OUTSIDE] = on_table / fmax(bins_on_table - 2.0, 1.0);
     result[BLUR] = s;
+    result[SLOPE_INSIDE] = right[at_step + 1];
+    result[SLOPE_OUTSIDE] = right[at_step + 2];
+    result[SLOPE_INSIDE_VARIANCE] = inverse_at(columns, normal, diagonal, at_step + 1) * usual;
+    result[SLOPE_OUTSIDE_VARIANCE] = inverse_at(columns, normal, diagonal, at_step + 2) * usual;
 }
 
 /* Bits of the sum of levels, and below the point of a place: what 64 bits have room for. */

@@ -2,6 +2,8 @@
 #include "kernel.h"
 
 #define DEGREE 4
+/* A wall narrower than this is not there: top and foot differ by rounding. */
+#define LEAST_WALL_PX 1e-3
 
 /* The terms x^i y^j in the order of local_map.TERMS, and their derivatives. */
 static void terms(double x, double y, double *value, double *by_x, double *by_y)
@@ -73,7 +75,8 @@ void slabcell_project(int outlines, const int64_t *starts, const double *pieces,
             line[LINE_NORMAL_V] = nv;
             line[LINE_HALF] = 0.5 * chord;
             line[LINE_BEND] = sag / (0.25 * chord * chord);
-            line[LINE_WALL] = fmax(nu * (uf - u) + nv * (vf - v), 0.0);
+            const double wall = nu * (uf - u) + nv * (vf - v);
+            line[LINE_WALL] = wall > LEAST_WALL_PX ? wall : 0.0;
             extra[ROW_X] = nx;
             extra[ROW_Y] = ny;
             extra[ROW_TURN] = ny * ax - nx * ay;

@@ -18,7 +18,8 @@ typedef struct {
     double margin_mm;          /* how far beyond an outline its map holds */
     double sigma, first_reach, reach, wall_ratio, wall_ratio_sigma, first_wall_ratio_sigma; /* before the picture is asked */
     double least_wall_sigma, most_wall_sigma, light_sigma;
-    double noise_share, least_noise;
+    double noise_share, least_noise, least_slope_sigma, least_slope_share;
+    double near_reach, reach_blurs; /* once blur and slopes are known */
 } Settings;
 
 /* Outlines that candidates may be: pieces of all, one outline after the other, whole, few and as probes. */
@@ -180,6 +181,18 @@ static void judge_walls(int64_t pieces, const Room *room, const Settings *how, M
     }
 }
 
+/* The mean slope on one side of edges; `weight` is one over the variance of the true ones: the spread of those that were
+ * measured less the measurement's. */
+static double know_slope(int n, double *slopes, double *variances, const Settings *how, double *weight)
+{
+    const double mean = slabcell_nth(slopes, n, n / 2), least = how->least_slope_sigma * how->least_slope_sigma;
+    for (int i = 0; i < n; i++)
+        slopes[i] = fabs(slopes[i] - mean);
+    const double spread = 1.4826 * slabcell_nth(slopes, n, n / 2), measured = spread * spread;
+    *weight = 1.0 / fmax(fmax(measured - slabcell_nth(variances, n, n / 2), how->least_slope_share * measured), least);
+    return mean;
+}
+
 /* What the edges of this picture are like, asked at some of the candidates; returns how far they lie outside. */
 static double ask(const Picture *p, const Outlines *outlines, int candidates, const int64_t *slots, const double *poses,
                   const double *maps, const Room *room, Model *model)
@@ -197,7 +210,7 @@ static double ask(const Picture *p, const Outlines *outlines, int candidates, co
                             .least_scatter = 0.25, .fit_blur = 1.0};
     look(p, outlines, how->rough > 0.5 ? FEW : PROBES, asked, which, slots, poses, maps, &question, room);
     const int64_t pieces = room->starts[asked];
-    double values[4][MAX_PROBES];
+    double values[8][MAX_PROBES];
     int n = 0;
     /* From edges without a wall, where there are enough. */
     for (int plain = 1; plain >= 0; plain--) {
@@ -210,6 +223,10 @@ static double ask(const Picture *p, const Outlines *outlines, int candidates, co
             values[0][n] = result[SCATTER_INSIDE];
             values[1][n] = result[SCATTER_OUTSIDE];
             values[2][n] = result[BLUR];
+            values[4][n] = result[SLOPE_INSIDE];
+            values[5][n] = result[SLOPE_INSIDE_VARIANCE];
+            values[6][n] = result[SLOPE_OUTSIDE];
+            values[7][n] = result[SLOPE_OUTSIDE_VARIANCE];
             values[3][n++] = result[SHIFT] / room->extras[EXTRA_FIELDS * i + PX_PER_MM];
         }
         if (n >= 6)
@@ -227,6 +244,9 @@ static double ask(const Picture *p, const Outlines *outlines, int candidates, co
     model->grain_inside = inside - model->noise;
     model->grain_outside = outside - model->noise;
     model->sigma = slabcell_nth(values[2], n, n / 2);
+    model->reach = fmin(fmax(how->near_reach, how->reach_blurs * model->sigma), how->reach);
+    model->slope_inside = know_slope(n, values[4], values[5], how, &model->slope_inside_weight);
+    model->slope_outside = know_slope(n, values[6], values[7], how, &model->slope_outside_weight);
     return slabcell_nth(values[3], n, n / 2);
 }
 
