@@ -24,7 +24,7 @@ Floats = npt.NDArray[np.float64]
 FIRST_REACH_PX: Final = 9.0
 REACH_PX: Final = 6.0
 # Once blur and slopes are known: so far, and so many widths of the blur.
-NEAR_REACH_PX: Final = 4.5
+NEAR_REACH_PX: Final = 4.0
 REACH_BLURS: Final = 4.5
 # Before the picture has been asked: blur, and grey of a wall over grey of the upper face.
 SIGMA_PX: Final = 0.85
