@@ -25,12 +25,13 @@ export class View {
 
   constructor() {
     this.drawing.append(this.#layer);
+    this.picture.append(at("legend"));
     for (const id of ["buffer", "overlay"]) at(id).addEventListener("change", () => void this.show());
   }
 
   /** Which buffer is shown. */
   get buffer() {
-    return /** @type {keyof typeof FILES} */ (at(/** @type {const} */ ("buffer")) instanceof HTMLSelectElement ? /** @type {HTMLSelectElement} */ (at("buffer")).value : "input");
+    return /** @type {keyof typeof FILES} */ (/** @type {HTMLSelectElement} */ (at("buffer")).value);
   }
 
   /** @param {string} name */
