@@ -18,10 +18,11 @@ import sys
 import tempfile
 import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -134,11 +135,12 @@ class Viewer(threading.Thread):
 
     def run(self) -> None:
         """Ask for a picture each time that one has come."""
-        self._socket.send("picture")
-        for message in self._socket:
-            if isinstance(message, bytes):
-                self.pictures += 1
-                self._socket.send("picture")
+        with suppress(ConnectionClosed):  # it is closed while it looks
+            self._socket.send("picture")
+            for message in self._socket:
+                if isinstance(message, bytes):
+                    self.pictures += 1
+                    self._socket.send("picture")
 
     def end(self) -> None:
         """Close the page."""

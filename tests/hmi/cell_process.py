@@ -1,7 +1,8 @@
 """A simulated cell as a process: its daemon lives, its robot lays when told to.  Commands come on standard input.
 
-``lay`` runs one job to its end, ``strew`` brings new slabs, ``off`` takes the camera away, ``on`` brings it back,
-``connect`` is a robot that says nothing, until ``disconnect``; each is answered with one line.
+``lay`` runs one job to its end, ``link`` says where a robot connects, ``strew`` brings new slabs, ``off`` takes the
+camera away, ``on`` brings it back, ``connect`` is a robot that says nothing, until ``disconnect``; each is answered
+with one line.
 """
 
 import asyncio
@@ -52,6 +53,8 @@ async def main(out: Path, scene: str, seed: int, speed: float | None) -> None:
                 case "lay":
                     result = await cell.lay()
                     say(f"{result.status} {result.message}")
+                case "link":
+                    say(f"{cell.address[0]} {cell.address[1]}")
                 case "strew":
                     cell.strew()
                     say("strewn")

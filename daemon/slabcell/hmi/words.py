@@ -12,6 +12,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
+from slabcell.hmi.messages import translate
+
 __all__ = ["LANGUAGES", "PageWords", "Words", "load_alarms", "load_tables"]
 
 LANGUAGES: Final = {"en": "English", "de": "Deutsch"}
@@ -100,6 +102,10 @@ class PageWords:
             msg = f"page {self.page}, language {self.language}: there is no word {key!r}"
             raise KeyError(msg) from error
         return text.format(**values) if values else text
+
+    def said(self, message: str) -> str:
+        """Return a message of the daemon in this language, as far as there are words for it."""
+        return translate(self.language, message)
 
     def maybe(self, key: str, default: str) -> str:
         """Return a word, or what stands for it: for names that come from the daemon, which may be newer."""
