@@ -1,6 +1,19 @@
 """Which pages are there?  One folder each: its routes, its templates, its words.  A new page is one more line here."""
 
-from slabcell.hmi.pages import about, account, alarms, doctor, history, overview, run, shell, templates, tune, users
+from slabcell.hmi.pages import (
+    about,
+    account,
+    alarms,
+    calibrate,
+    doctor,
+    history,
+    overview,
+    run,
+    shell,
+    templates,
+    tune,
+    users,
+)
 from slabcell.hmi.route import Page
 
 __all__ = ["PAGES"]
@@ -9,6 +22,7 @@ PAGES: tuple[Page, ...] = (
     overview.PAGE,
     run.PAGE,
     tune.PAGE,
+    calibrate.PAGE,
     templates.PAGE,
     history.PAGE,
     alarms.PAGE,

@@ -5,11 +5,13 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
+from dataclasses import asdict
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
 from slabcell.calibration import Board, HandEyeMethod, LensModel, Mount, calibration_from_document
+from slabcell.calibration.advice import survey
 from slabcell.calibration.file import to_document
 from slabcell.calibration.handeye.stations import parse_poses
 from slabcell.cell.preparing import require_calibration
@@ -259,13 +261,23 @@ async def _survey(call: Call[ApiContext]) -> SurveyDocument:
     context, query = call.context, call.query
     assert isinstance(query, SurveyQuery)  # noqa: S101 - as the endpoint declares
     views, present = context.studio.views.all, context.cell.calibration
+    if not views:  # there is nothing to compute
+        advice = [asdict(item) for item in survey(query.kind, (), ()).advice]
+        return SurveyDocument(
+            kind=query.kind,
+            stands=[],
+            coverage=None,
+            turned_deg=None,
+            axis_spread=None,
+            advice=[AdviceDocument.model_validate(item) for item in advice],
+        )
     fits = present is not None and all(
         (view.detection["width"], view.detection["height"]) == (present.camera.width, present.camera.height)
         for view in views
     )
     arguments: Json = {
         "kind": query.kind,
-        "board": str(Board.parse(views[0].board)) if views else "",
+        "board": str(Board.parse(views[0].board)),
         "views": [{"name": view.name, "detection": view.detection, "pose": view.pose} for view in views],
         "calibration": to_document(present) if present is not None and fits else None,
     }
