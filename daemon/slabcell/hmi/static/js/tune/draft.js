@@ -81,6 +81,7 @@ export class Draft extends EventTarget {
   /**
    * Return whether a parameter, or one of a table, is another one than in the active recipe.
    * @param {string} key
+   * @returns {boolean}
    */
   isChanged(key) {
     if (!TABLES.has(key)) return !same(this.get(key), this.get(key, this.active.parameters));

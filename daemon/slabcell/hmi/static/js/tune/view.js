@@ -7,6 +7,7 @@ import { at, word } from "./words.js";
 /** @typedef {import("./ask.js").Json} Json */
 /** @typedef {[number, number]} Point */
 
+/** @type {Record<string, string>} */
 const FILES = { input: "input.png", undistorted: "undistorted.png", mask: "mask.png", blobs: "blobs.png", contours: "input.png", residuals: "input.png" };
 /** The longest whisker, in parts of the picture's width. */
 const WHISKER = 0.02;
