@@ -58,7 +58,7 @@ def draw_moves(moved: Sequence[Sequence[float]], width: int) -> list[Mover]:
     lengths = [hypot(x, y) for _, _, x, y in moved]
     largest = max(lengths, default=0.0) or 1.0
     return [
-        Mover(u, v, length, round(width * (0.004 + 0.036 * length / largest), 1))
+        Mover(u, v, length, round(width * (0.004 + 0.026 * length / largest), 1))
         for (u, v, _, _), length in zip(moved, lengths, strict=True)
     ]
 
