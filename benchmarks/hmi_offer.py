@@ -30,8 +30,8 @@ from slabcell_drivers.robot.eki.codec import decode_answer, encode_request
 from slabcell_drivers.robot.protocol import Answer, Request, RequestType
 
 LIMIT_S = 60.0
-SETTLE_S = 0.3
-"""Until pages are connected and have asked for their next picture; the robot drives meanwhile."""
+SETTLE_S = 1.5
+"""Until the bundle of the cycle before is written; the robot drives meanwhile."""
 
 
 class Robot:
@@ -71,15 +71,27 @@ class Robot:
         self._socket.close()
 
 
-def measure(cell: Cell, robot: Robot, client: Client, pages: int) -> tuple[float, float, int]:
-    """Return the time to the first offer, the same without taking the picture, in ms, and the pictures shown."""
+def end(viewers: Sequence[Viewer]) -> None:
+    """Close pages."""
+    for viewer in viewers:
+        viewer.end()
+
+
+def measure(cell: Cell, robot: Robot, client: Client, pages: int, *, watched: bool) -> tuple[float, float, int]:
+    """Return the time to the first offer, the same without taking the picture, in ms, and the pictures shown.
+
+    Pages are opened either way, and closed before the trigger if nobody is to look: the cell has the same time for
+    what the cycle before has left it to do.
+    """
     viewers = [Viewer(client) for _ in range(pages)]
     for viewer in viewers:
         viewer.start()
+    if not watched:
+        end(viewers)
     time.sleep(SETTLE_S)
     offer_ms = robot.first_offer_ms()
-    for viewer in viewers:
-        viewer.end()
+    if watched:
+        end(viewers)
     robot.ask(RequestType.HELLO)  # voids what was offered, and ends the cycle: its times are known then
     times = cell.api.get("/v1/cycles", limit=1)["cycles"][0]["times_ms"]
     return offer_ms, offer_ms - times["acquire"], sum(viewer.pictures for viewer in viewers)
@@ -116,13 +128,13 @@ def main() -> None:
                 client.get("/")
                 robot = Robot(host, int(port))
                 for _ in range(5):  # caches fill
-                    measure(cell, robot, client, 0)
+                    measure(cell, robot, client, 0, watched=False)
                 whole: dict[bool, list[float]] = {False: [], True: []}
                 rest: dict[bool, list[float]] = {False: [], True: []}
                 shown = 0
                 for _ in range(options.pairs):
                     for watched in random.sample([False, True], 2):
-                        offer_ms, rest_ms, pictures = measure(cell, robot, client, options.pages if watched else 0)
+                        offer_ms, rest_ms, pictures = measure(cell, robot, client, options.pages, watched=watched)
                         whole[watched].append(offer_ms)
                         rest[watched].append(rest_ms)
                         shown += pictures
