@@ -19,6 +19,8 @@ from .messages import messages
 
 pytestmark = [pytest.mark.hmi, pytest.mark.timeout(300)]
 
+expect.set_options(timeout=LIMIT_S * 1000)
+
 
 @pytest.fixture(scope="module", autouse=True)
 def laid(cell: Cell) -> None:
