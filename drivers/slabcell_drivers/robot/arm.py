@@ -9,10 +9,11 @@ negative.  Checked against taught points of public controller backups; bit 0 set
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from slabcell_drivers.robot.arm_solve import Axes, Dimensions, Pose, flange_pose, pose_of_frame, solve
+from slabcell_drivers.robot.arm_solve import Axes, Dimensions, Pose, Vector, flange_pose, pose_of_frame, solve
 from slabcell_drivers.robot.frame import Frame
 
 __all__ = ["KR3_R540", "KR6_R900", "ArmError", "ArmFault", "ArmModel", "Axes", "arm_by_name"]
@@ -90,9 +91,8 @@ class ArmModel:
         configuration, ``turn`` to one sign of each axis.  Raises ArmError: out of reach, or an axis beyond its limit.
         """
         reference = near or ALL_ZERO
-        branches = self._branches(flange, reference, status)
         best, best_time = None, math.inf
-        for _, branch in branches:
+        for _, branch in self._branches(flange, reference, status, self._may_stand):
             axes = self._nearest(branch, reference) if turn is None else self._turned(branch, reference, turn)
             if axes is None:
                 continue
@@ -100,7 +100,7 @@ class ArmModel:
             if time_s < best_time:
                 best, best_time = axes, time_s
         if best is None:
-            raise self._refusal(flange, reference, branches, status, turn)
+            raise self._refusal(flange, reference, self._branches(flange, reference, status), status, turn)
         return best
 
     def reachable(self, flange: Frame | Pose, *, status: int | None = None) -> bool:
@@ -154,7 +154,21 @@ class ArmModel:
             longest_s = max(longest_s, abs(stop - begin) / speed)
         return longest_s
 
-    def _branches(self, flange: Frame | Pose, reference: Axes, status: int | None) -> list[tuple[int, Axes]]:
+    def _may_stand(self, main_axes_deg: Vector) -> bool:
+        """Tell whether A1, A2, A3 are within their limits after some number of whole turns."""
+        for axis, angle in enumerate(main_axes_deg):
+            within = self.axis_min_deg[axis] <= angle <= self.axis_max_deg[axis]
+            if not within and not self._turns_of(axis, angle):
+                return False
+        return True
+
+    def _branches(
+        self,
+        flange: Frame | Pose,
+        reference: Axes,
+        status: int | None,
+        allowed: Callable[[Vector], bool] | None = None,
+    ) -> list[tuple[int, Axes]]:
         pose = flange if isinstance(flange, Pose) else pose_of_frame(flange)
         return solve(
             self.dimensions,
@@ -162,6 +176,7 @@ class ArmModel:
             a1_if_singular_deg=reference[0],
             a4_if_singular_deg=reference[3],
             status=None if status is None else status & ALL_STATUS_BITS,
+            allowed=allowed,
         )
 
     def _nearest(self, branch: Axes, reference: Axes) -> Axes | None:

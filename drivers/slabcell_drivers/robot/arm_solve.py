@@ -10,11 +10,12 @@ Source of the chain: the URDF that ROS-Industrial publishes for the KR 3 R540 (`
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from slabcell_drivers.robot.frame import Frame
 
-__all__ = ["Axes", "Dimensions", "Pose", "flange_pose", "pose_of_frame", "solve", "solve_main_axes"]
+__all__ = ["Axes", "Dimensions", "Pose", "Vector", "flange_pose", "pose_of_frame", "solve", "solve_main_axes"]
 
 Axes = tuple[float, float, float, float, float, float]
 """A1 to A6 in degrees."""
@@ -113,10 +114,12 @@ def solve(
     a1_if_singular_deg: float = 0.0,
     a4_if_singular_deg: float = 0.0,
     status: int | None = None,
+    allowed: Callable[[Vector], bool] | None = None,
 ) -> list[tuple[int, Axes]]:
     """Return up to eight sets of axis angles with their status; none if out of reach.
 
-    Angles are in (-180, 180], limits are not regarded.  With ``status`` only that one is computed.
+    Angles are in (-180, 180], limits are not regarded.  With ``status`` only that one is computed, with ``allowed``
+    only those whose A1, A2, A3 (degrees) it lets pass: what a limit forbids needs no wrist.
     """
     d = dimensions
     r = flange.rotation
@@ -133,10 +136,12 @@ def solve(
         for elbow, a2, a3 in _arm(d, forward - d.shoulder_mm, wz):
             if status is not None and status & 2 != elbow:
                 continue
+            main = (_deg(a1), _deg(a2), _deg(a3))
+            if allowed is not None and not allowed(main):
+                continue
             for flipped, a4, a5, a6 in _wrist(r, a1, a2 + a3, a4_if_singular):
                 if status is None or status & 4 == flipped:
-                    axes = (_deg(a1), _deg(a2), _deg(a3), _deg(a4), _deg(a5), _deg(a6))
-                    found.append((behind | elbow | flipped, axes))
+                    found.append((behind | elbow | flipped, (*main, _deg(a4), _deg(a5), _deg(a6))))
     return found
 
 
