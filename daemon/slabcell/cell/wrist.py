@@ -1,21 +1,20 @@
-"""Which way of holding and laying a slab turns the wrist least?  All of them at once, as arrays.
+"""Which way of holding and laying a slab turns the wrist least?  All of them, one after the other.
 
 A tool whose axis is the flange's may stand on the slab in any direction, and a slab that looks alike after a turn may
-be laid turned.  Both change A6 alone, and by the angle itself.
+be laid turned.  Both change A6 alone, and by the angle itself.  Plain floats: so few numbers are sooner compared than
+put into arrays.
 """
 
-import numpy as np
+import math
+from collections.abc import Sequence
 
 __all__ = ["least_turn"]
-
-FAR_DEG = 1e9
-"""Stands for an angle beyond the limits: no way through it is ever the least."""
 
 
 def least_turn(
     at_pick_deg: float,
-    at_places_deg: list[float],
-    turns_deg: tuple[float, ...],
+    at_places_deg: Sequence[float],
+    turns_deg: Sequence[float],
     limits_deg: tuple[float, float],
     before_deg: float | None,
 ) -> tuple[int, int, float]:
@@ -25,20 +24,34 @@ def least_turn(
     anywhere).  The travel counts from there to the pick and on to the place.  Of equal ways the one with the smallest
     turn wins.  ``limits_deg`` span at least one whole turn.
     """
-    turns = np.array(turns_deg)
+    # For each turn, where A6 may be at the pick, and how far it is there.
+    picks = [
+        [
+            (pick, 0.0 if before_deg is None else abs(pick - before_deg))
+            for pick in _angles(at_pick_deg + turn, limits_deg)
+        ]
+        for turn in turns_deg
+    ]
+    least, way, number, last = math.inf, 0, 0, 0.0
+    for which, at_place_deg in enumerate(at_places_deg):
+        for tried, turn in enumerate(turns_deg):
+            travel, end = math.inf, 0.0
+            for place in _angles(at_place_deg + turn, limits_deg):
+                for pick, way_there in picks[tried]:
+                    whole = way_there + abs(place - pick)
+                    if whole < travel:
+                        travel, end = whole, place
+            if travel < least or (travel == least and abs(turn) < abs(turns_deg[number])):
+                least, way, number, last = travel, which, tried, end
+    return way, number, last
+
+
+def _angles(angle_deg: float, limits_deg: tuple[float, float]) -> list[float]:
+    """Return the angle with every number of whole turns within the limits, the lowest first."""
     low, high = limits_deg
-    angles = np.array([at_pick_deg, *at_places_deg])[:, None] + turns
-    whole = np.ceil((low - angles) / 360.0)[:, :, None] + np.arange(int((high - low) // 360.0) + 1)
-    turned = angles[:, :, None] + 360.0 * whole  # (the pick and the places, turn, k)
-    allowed = turned <= high
-    pick = np.where(allowed[0], turned[0], FAR_DEG)
-    place = np.where(allowed[1:], turned[1:], -FAR_DEG)
-    travel = np.abs(place[:, :, :, None] - pick[:, None, :])  # (place, turn, k at the place, k at the pick)
-    if before_deg is not None:
-        travel = np.abs(pick - before_deg)[:, None, :] + travel
-    travel = travel.reshape(*travel.shape[:2], -1)
-    nearest = travel.argmin(axis=2)
-    least = travel.min(axis=2)
-    which = int(np.where(least == least.min(), np.abs(turns), np.inf).argmin())
-    way, turn = divmod(which, len(turns))
-    return way, turn, float(place[way, turn, int(nearest[way, turn]) // pick.shape[1]])
+    whole = math.ceil((low - angle_deg) / 360.0)
+    found: list[float] = []
+    while (turned := angle_deg + 360.0 * whole) <= high:
+        found.append(turned)
+        whole += 1
+    return found

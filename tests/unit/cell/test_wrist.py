@@ -1,4 +1,4 @@
-"""Does the search over arrays find what trying one way after the other finds?"""
+"""Does the search find what trying every way finds?"""
 
 import math
 
