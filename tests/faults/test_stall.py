@@ -103,7 +103,8 @@ async def test_a_request_that_never_ends_leaves_the_watchdog_unfed_although_the_
 def test_a_process_that_the_watchdog_ends_says_where_its_threads_stood(cell):
     with cell.daemon() as daemon:
         daemon.process.send_signal(signal.SIGABRT)  # what systemd sends
-        assert daemon.process.wait(60) == -signal.SIGABRT
+        # CPython writes the stacks of threads that run on meanwhile, and may stumble over one: it ends all the same.
+        assert daemon.process.wait(60) in (-signal.SIGABRT, -signal.SIGSEGV)
     said = (cell.folder / "daemon.log").read_text()
     assert "Fatal Python error: Aborted" in said
     assert "slabcell/service/daemon.py" in said or "asyncio" in said

@@ -24,6 +24,8 @@ __all__ = ["BlobReport", "report_blobs"]
 # Where a segmentation cuts depends on its threshold; the edge is where the grey is half way.  It is looked for at so
 # many points of each outline, so far on either side in pixels.
 EDGE_POINTS: Final = 256
+# OpenCV remaps no more rows at once.
+REMAP_ROWS: Final = 32_000
 EDGE_REACH_PX: Final = 4.0
 EDGE_STEP_PX: Final = 0.5
 # No point is moved farther than this from where most of the blob's points go.
@@ -106,13 +108,12 @@ def _at_the_edge(rings: Rings, grey: Grey) -> npt.NDArray[np.float64]:
     at = points[:, :, None, :] + steps[:, None] * outward[:, :, None, :]
     height, width = grey.shape
     seen = ((at >= 0) & (at <= (width - 1, height - 1))).all(axis=(2, 3))
-    across: Any = cv2.remap(
-        grey,
-        at[..., 0].reshape(count * EDGE_POINTS, -1).astype(np.float32),
-        at[..., 1].reshape(count * EDGE_POINTS, -1).astype(np.float32),
-        cv2.INTER_LINEAR,
-    )
-    profile = np.asarray(across, np.float64).reshape(count, EDGE_POINTS, -1)
+    places = at.reshape(count * EDGE_POINTS, len(steps), 2).astype(np.float32)
+    across: list[Any] = [
+        cv2.remap(grey, np.ascontiguousarray(part[..., 0]), np.ascontiguousarray(part[..., 1]), cv2.INTER_LINEAR)
+        for part in np.split(places, range(REMAP_ROWS, len(places), REMAP_ROWS))
+    ]
+    profile = np.concatenate(across).astype(np.float64).reshape(count, EDGE_POINTS, -1)
     inside, outside = profile[:, :, :3].mean(axis=2), profile[:, :, -3:].mean(axis=2)
     relative = (profile - outside[:, :, None]) / np.where(inside == outside, np.inf, inside - outside)[:, :, None]
     # The first place, from inside, at which the grey falls below one half.

@@ -101,7 +101,8 @@ def measure_blob(
     sign = 1.0 if moments["m00"] >= 0 else -1.0
     xx, yy, xy = (sign * moments[name] for name in ("mu20", "mu02", "mu11"))
     spread = float(np.hypot(0.5 * (xx - yy), xy))
-    major, minor = 0.5 * (xx + yy) + spread, max(0.5 * (xx + yy) - spread, 1e-9)
+    # An outline of noise may cross itself, so that its inertia comes out negative.
+    major, minor = (max(value, 1e-9) for value in (0.5 * (xx + yy) + spread, 0.5 * (xx + yy) - spread))
     perimeter = float(cv2.arcLength(ring, closed=True))
     hull = float(cv2.contourArea(np.asarray(cv2.convexHull(ring), np.float32)))
     _, (side, other), _ = cv2.minAreaRect(ring)

@@ -51,6 +51,15 @@ def test_the_features_of_every_blob_are_reported_with_what_became_of_it():
     assert [entry["reason"] for entry in document if entry["slot"] is None] == ["too_small"]
 
 
+def test_more_blobs_than_opencv_remaps_at_once_are_reported():
+    places = [(-180.0 + 24.0 * column, -130.0 + 24.0 * row) for column in range(15) for row in range(10)]
+    crumbs = [moved([(0, 0), (9, 0), (9, 9), (0, 9)], *place) for place in places]
+    crumbs_only = locate(render(CAMERA, crumbs), CAMERA, replace(PRODUCT, blobs=BlobParameters(report=True)))
+    assert crumbs_only.blobs is not None
+    assert len(crumbs_only.blobs) == 150
+    assert all(blob.area_mm2 == pytest.approx(81.0, rel=0.1) for blob in crumbs_only.blobs)
+
+
 def test_a_blob_that_fails_a_filter_is_refused_with_feature_value_and_limit():
     result = found(filters=[{"feature": "convexity", "min": 0.95}])
     assert [part.slot for part in result.parts] == [1, 2, 3, 4]  # slot 0 is L-shaped
