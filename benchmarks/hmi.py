@@ -18,7 +18,8 @@ import sys
 import tempfile
 import threading
 import time
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -206,32 +207,43 @@ def deaf(cell: Cell, server: Server, client: Client, looks: int) -> None:
         one.close()
 
 
+@contextmanager
+def simulated_cell() -> Iterator[tuple[Cell, Path]]:
+    """Run a simulated cell in a folder of its own."""
+    with tempfile.TemporaryDirectory(prefix="slabcell-") as name:
+        folder = Path(name)
+        child = Child([sys.executable, str(CELL), name, "dresden", "5", "0"], folder / "cell.log")
+        try:
+            yield Cell(child, Path(child.line().partition(" ")[2]), folder), folder
+        finally:
+            child.end()
+
+
+def first_user(server: Server) -> Client:
+    """Return the administrator that the first-start token makes, logged in."""
+    client = Client(server.base)
+    client.post("/first", {"token": server.token, "name": "admin", "password": PASSWORD, "again": PASSWORD})
+    client.get("/")
+    return client
+
+
 def main() -> None:
     """Run it all."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cycles", type=int, default=100_000)
     parser.add_argument("--looks", type=int, default=40)
     options = parser.parse_args()
-    with tempfile.TemporaryDirectory(prefix="slabcell-") as name:
-        folder = Path(name)
-        child = Child([sys.executable, str(CELL), name, "dresden", "5", "0"], folder / "cell.log")
-        try:
-            cell = Cell(child, Path(child.line().partition(" ")[2]), folder)
-            cell.lay()
-            fill(folder, options.cycles)
-            with hmi_server(cell.socket, folder, SLABCELL__HMI__LIVE_CLIENTS="64") as server:
-                client = Client(server.base)
-                fields = {"token": server.token, "name": "admin", "password": PASSWORD, "again": PASSWORD}
-                client.post("/first", fields)
-                client.get("/")
-                print(f"{options.cycles} cycles in history and ledger")
-                first_paint(server)
-                filters(client)
-                cell.tell("strew")
-                live(cell, client, options.looks)
-                deaf(cell, server, client, 30)
-        finally:
-            child.end()
+    with simulated_cell() as (cell, folder):
+        cell.lay()
+        fill(folder, options.cycles)
+        with hmi_server(cell.socket, folder, SLABCELL__HMI__LIVE_CLIENTS="64") as server:
+            client = first_user(server)
+            print(f"{options.cycles} cycles in history and ledger")
+            first_paint(server)
+            filters(client)
+            cell.tell("strew")
+            live(cell, client, options.looks)
+            deaf(cell, server, client, 30)
 
 
 if __name__ == "__main__":

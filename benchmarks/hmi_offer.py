@@ -16,15 +16,14 @@ import random
 import socket
 import statistics
 import sys
-import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from benchmarks.hmi import CELL, Viewer
-from tests.hmi.conftest import PASSWORD, Cell, Child, Client, hmi_server
+from benchmarks.hmi import Viewer, first_user, simulated_cell
+from tests.hmi.conftest import Cell, Client, hmi_server
 
 from slabcell_drivers.robot.eki.codec import decode_answer, encode_request
 from slabcell_drivers.robot.protocol import Answer, Request, RequestType
@@ -115,32 +114,23 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=60)
     parser.add_argument("--pages", type=int, default=8)
     options = parser.parse_args()
-    with tempfile.TemporaryDirectory(prefix="slabcell-") as name:
-        folder = Path(name)
-        child = Child([sys.executable, str(CELL), name, "dresden", "5", "0"], folder / "cell.log")
-        try:
-            cell = Cell(child, Path(child.line().partition(" ")[2]), folder)
-            host, port = cell.tell("link").split()
-            with hmi_server(cell.socket, folder, SLABCELL__HMI__LIVE_CLIENTS="64") as server:
-                client = Client(server.base)
-                fields = {"token": server.token, "name": "admin", "password": PASSWORD, "again": PASSWORD}
-                client.post("/first", fields)
-                client.get("/")
-                robot = Robot(host, int(port))
-                for _ in range(5):  # caches fill
-                    measure(cell, robot, client, 0, watched=False)
-                whole: dict[bool, list[float]] = {False: [], True: []}
-                rest: dict[bool, list[float]] = {False: [], True: []}
-                shown = 0
-                for _ in range(options.pairs):
-                    for watched in random.sample([False, True], 2):
-                        offer_ms, rest_ms, pictures = measure(cell, robot, client, options.pages, watched=watched)
-                        whole[watched].append(offer_ms)
-                        rest[watched].append(rest_ms)
-                        shown += pictures
-                robot.close()
-        finally:
-            child.end()
+    whole: dict[bool, list[float]] = {False: [], True: []}
+    rest: dict[bool, list[float]] = {False: [], True: []}
+    shown = 0
+    with simulated_cell() as (cell, folder):
+        host, port = cell.tell("link").split()
+        with hmi_server(cell.socket, folder, SLABCELL__HMI__LIVE_CLIENTS="64") as server:
+            client = first_user(server)
+            robot = Robot(host, int(port))
+            for _ in range(5):  # caches fill
+                measure(cell, robot, client, 0, watched=False)
+            for _ in range(options.pairs):
+                for watched in random.sample([False, True], 2):
+                    offer_ms, rest_ms, pictures = measure(cell, robot, client, options.pages, watched=watched)
+                    whole[watched].append(offer_ms)
+                    rest[watched].append(rest_ms)
+                    shown += pictures
+            robot.close()
     report("trigger to first offer", whole[False], whole[True], options.pages)
     report("the same without taking the picture", rest[False], rest[True], options.pages)
     print(f"{shown} pictures were shown")

@@ -10,30 +10,29 @@ from dataclasses import dataclass, field
 from urllib.parse import urlsplit
 
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, Request, sync_playwright
 
 from .conftest import LIMIT_S, Server
 
 SIZES = ((1024, 600), (1366, 768), (1920, 1080))
 PATHS = (
-    *(
-        "/",
-        "/run",
-        "/tune",
-        "/calibrate",
-        "/calibrate?kind=plane",
-        "/calibrate?kind=hand-eye",
-        "/calibrate/history",
-        "/calibrate/drift",
-        "/templates",
-        "/history",
-        "/history/jobs",
-        "/history/placements",
-        "/alarms",
-        "/doctor",
-        "/users",
-        "/about",
-    ),
+    "/",
+    "/run",
+    "/tune",
+    "/calibrate",
+    "/calibrate?kind=plane",
+    "/calibrate?kind=hand-eye",
+    "/calibrate/history",
+    "/calibrate/drift",
+    "/templates",
+    "/history",
+    "/history/jobs",
+    "/history/placements",
+    "/alarms",
+    "/doctor",
+    "/users",
+    "/about",
 )
 
 
@@ -46,6 +45,16 @@ def chromium() -> str:
     if os.environ.get("SLABCELL_REQUIRE_CAMERA") == "1":  # CI has to have it
         pytest.fail(reason)
     pytest.skip(reason)
+
+
+def serious_findings(page: Page) -> list[str]:
+    """Return what axe-core finds on a page that keeps people out."""
+    return [
+        f"{item['id']}: {node['html']}"
+        for item in Axe().run(page).response["violations"]
+        if item["impact"] in {"serious", "critical"}
+        for node in item["nodes"]
+    ]
 
 
 @contextmanager

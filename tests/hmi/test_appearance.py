@@ -6,14 +6,13 @@ import re
 from pathlib import Path
 
 import pytest
-from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, expect
 
 from slabcell.catalogue import catalogue
 from slabcell.hmi.messages import load_messages, translate
 from slabcell.hmi.words import LANGUAGES, load_alarms, load_tables
 
-from .browser import PATHS, SIZES, window
+from .browser import PATHS, SIZES, serious_findings, window
 from .conftest import LIMIT_S, Cell, Server
 from .messages import messages
 
@@ -55,14 +54,7 @@ def test_axe_finds_nothing_serious(cell: Cell, hmi: Server, browser: Browser, pa
     for colours in ("light", "dark"):
         with window(browser, hmi, "admin", colours=colours) as page:
             settle(page, path, cell)
-            found = Axe().run(page).response["violations"]
-            serious = [
-                f"{item['id']}: {node['html']}"
-                for item in found
-                if item["impact"] in {"serious", "critical"}
-                for node in item["nodes"]
-            ]
-            assert serious == [], colours
+            assert serious_findings(page) == [], colours
 
 
 @pytest.mark.parametrize(("colours", "language"), [("light", "en"), ("dark", "de")])

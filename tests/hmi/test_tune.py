@@ -10,10 +10,9 @@ from contextlib import contextmanager
 from typing import Any
 
 import pytest
-from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Locator, Page, expect
 
-from .browser import window
+from .browser import serious_findings, window
 from .conftest import LIMIT_S, SLABCELL, Cell, Server, wait_for
 
 pytestmark = [pytest.mark.hmi, pytest.mark.timeout(300)]
@@ -447,14 +446,7 @@ def test_axe_finds_nothing_serious_on_any_tab_and_stage(hmi: Server, browser: Br
         ):
             page.locator(f"#tab-{tab}").click()
             page.locator(f"#stages button[value={stage}]").click()
-            found = Axe().run(page).response["violations"]
-            serious = [
-                f"{item['id']}: {node['html']}"
-                for item in found
-                if item["impact"] in {"serious", "critical"}
-                for node in item["nodes"]
-            ]
-            assert serious == [], tab
+            assert serious_findings(page) == [], tab
 
 
 def test_without_the_cell_nothing_can_be_run(cell: Cell, hmi: Server, browser: Browser) -> None:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from slabcell.cli.files import read_file
 from slabcell.cli.krl_export import export_command
 from slabcell.errors import UsageError
 from slabcell_drivers.krc.eki_check import check_channels
@@ -91,9 +92,5 @@ def _read(paths: Iterable[Path]) -> dict[str, bytes]:
         if path.stat().st_size > MAX_FILE_BYTES:
             msg = f"{path}: {path.stat().st_size} bytes, at most {MAX_FILE_BYTES} are read"
             raise UsageError(msg)
-        try:
-            sources[path.as_posix()] = path.read_bytes()
-        except OSError as error:
-            msg = f"{path}: cannot be read: {error.strerror}"
-            raise UsageError(msg) from error
+        sources[path.as_posix()] = read_file(path)
     return sources

@@ -11,7 +11,8 @@ from typing import Annotated
 
 import typer
 
-from slabcell.errors import ConfigurationError, SlabcellError
+from slabcell.cli.files import write_file
+from slabcell.errors import ConfigurationError
 from slabcell.service.config import CellConfig
 from slabcell.service.config_layers import load_config
 from slabcell_drivers.robot.eki.export import ExportError, ExportSettings, export_files
@@ -39,13 +40,7 @@ def export_command(
         msg = f"{config}: {error}"
         raise ConfigurationError(msg) from error
     for path, raw in exported.items():
-        target = out / path
-        try:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(raw)
-        except OSError as error:
-            msg = f"{target}: cannot be written: {error.strerror}"
-            raise SlabcellError(msg) from error
+        write_file(out / path, raw)
     if as_json:
         document = {"schema": "slabcell.krl-export/1", "out": str(out), "files": [str(path) for path in exported]}
         typer.echo(json.dumps(document))
