@@ -11,6 +11,7 @@ from rich.table import Table
 
 from slabcell.cli.files import read_file
 from slabcell.cli.talk import AsJson, Socket, client, print_json
+from slabcell.cli.vision import candidate
 from slabcell.service.api.client import ApiClient
 
 __all__ = ["activate_running", "add_running_verbs", "path_of", "verify_running"]
@@ -113,10 +114,7 @@ def diff_command(
     as_json: AsJson = False,
 ) -> None:
     """Say in what a recipe, or parameters over it, differ from the active recipe of the running cell."""
-    body: dict[str, Any] = {"base": name}
-    if file is not None:
-        body["toml"] = read_file(file).decode("utf-8", "replace")
-    document = client(socket).post("/v1/recipes/compare", body)
+    document = client(socket).post("/v1/recipes/compare", candidate(file, name))
     if as_json:
         print_json(document)
         return

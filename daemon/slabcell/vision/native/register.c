@@ -210,7 +210,7 @@ static double ask(const Picture *p, const Outlines *outlines, int candidates, co
                             .least_scatter = 0.25, .fit_blur = 1.0};
     look(p, outlines, how->rough > 0.5 ? FEW : PROBES, asked, which, slots, poses, maps, &question, room);
     const int64_t pieces = room->starts[asked];
-    double values[8][MAX_PROBES];
+    double values[RESULT_FIELDS][MAX_PROBES];
     int n = 0;
     /* From edges without a wall, where there are enough. */
     for (int plain = 1; plain >= 0; plain--) {
@@ -220,14 +220,9 @@ static double ask(const Picture *p, const Outlines *outlines, int candidates, co
             if (!(result[VALID] > 0.5) || !(fabs(result[INSIDE] - result[OUTSIDE]) > 10.0)
                 || (plain && !(room->lines[LINE_FIELDS * i + LINE_WALL] < 0.5)))
                 continue;
-            values[0][n] = result[SCATTER_INSIDE];
-            values[1][n] = result[SCATTER_OUTSIDE];
-            values[2][n] = result[BLUR];
-            values[4][n] = result[SLOPE_INSIDE];
-            values[5][n] = result[SLOPE_INSIDE_VARIANCE];
-            values[6][n] = result[SLOPE_OUTSIDE];
-            values[7][n] = result[SLOPE_OUTSIDE_VARIANCE];
-            values[3][n++] = result[SHIFT] / room->extras[EXTRA_FIELDS * i + PX_PER_MM];
+            for (int field = 0; field < RESULT_FIELDS; field++)
+                values[field][n] = result[field];
+            values[SHIFT][n++] /= room->extras[EXTRA_FIELDS * i + PX_PER_MM];
         }
         if (n >= 6)
             break;
@@ -238,16 +233,18 @@ static double ask(const Picture *p, const Outlines *outlines, int candidates, co
     judge_walls(pieces, room, how, model);
     if (n < 4)
         return 0.0;
-    const double inside = fmax(slabcell_nth(values[0], n, n / 2), how->least_noise);
-    const double outside = fmax(slabcell_nth(values[1], n, n / 2), how->least_noise);
+    const double inside = fmax(slabcell_nth(values[SCATTER_INSIDE], n, n / 2), how->least_noise);
+    const double outside = fmax(slabcell_nth(values[SCATTER_OUTSIDE], n, n / 2), how->least_noise);
     model->noise = how->noise_share * fmin(inside, outside);
     model->grain_inside = inside - model->noise;
     model->grain_outside = outside - model->noise;
-    model->sigma = slabcell_nth(values[2], n, n / 2);
+    model->sigma = slabcell_nth(values[BLUR], n, n / 2);
     model->reach = fmin(fmax(how->near_reach, how->reach_blurs * model->sigma), how->reach);
-    model->slope_inside = know_slope(n, values[4], values[5], how, &model->slope_inside_weight);
-    model->slope_outside = know_slope(n, values[6], values[7], how, &model->slope_outside_weight);
-    return slabcell_nth(values[3], n, n / 2);
+    model->slope_inside = know_slope(n, values[SLOPE_INSIDE], values[SLOPE_INSIDE_VARIANCE], how,
+                                     &model->slope_inside_weight);
+    model->slope_outside = know_slope(n, values[SLOPE_OUTSIDE], values[SLOPE_OUTSIDE_VARIANCE], how,
+                                      &model->slope_outside_weight);
+    return slabcell_nth(values[SHIFT], n, n / 2);
 }
 
 /* `candidates` (count, CANDIDATE_FIELDS): what blobs may be.  `given`, `few`, `probes`: the outlines, whole and in part,
