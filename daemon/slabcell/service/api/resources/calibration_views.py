@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Callable
 from dataclasses import asdict
 from typing import Annotated, Any, Final, Literal
@@ -28,6 +27,7 @@ from slabcell.service.api.resources.calibration import (
     camera_identity,
     shelf_of,
 )
+from slabcell.service.api.resources.robot_pose import Coordinate, PoseBody, SaidPose, pose_said
 from slabcell.service.api.resources.tasks import TaskDocument, task_view
 from slabcell.service.bench.wire import Json
 from slabcell.service.views import MAX_VIEWS, Pose, View
@@ -35,17 +35,13 @@ from slabcell.service.views import MAX_VIEWS, Pose, View
 __all__ = ["ENDPOINTS"]
 
 CALIBRATION_TIMEOUT_S: Final = 1800.0
-POSE_AGE_S: Final = 5.0
-"""A robot that stands still says where it is at least this often, as long as its program runs."""
 POSES_BYTES: Final = 64 << 10
-Coordinate = Annotated[float, Field(ge=-1e5, le=1e5)]
-PoseBody = tuple[Coordinate, Coordinate, Coordinate, Coordinate, Coordinate, Coordinate]
 
 
 class ViewBody(BoardBody):
     """A picture of the board to calibrate with."""
 
-    pose: PoseBody | Literal["robot"] | None = Field(
+    pose: SaidPose = Field(
         default=None,
         description="flange in the robot's base, X Y Z A B C, for a hand-eye calibration; robot: where it says it is",
     )
@@ -54,9 +50,7 @@ class ViewBody(BoardBody):
 class PlaceBody(Body):
     """Where the robot was for a view."""
 
-    pose: PoseBody | Literal["robot"] | None = Field(
-        description="X Y Z A B C; robot: where it says it is; null: unknown"
-    )
+    pose: SaidPose = Field(description="X Y Z A B C; robot: where it says it is; null: unknown")
 
 
 class SurveyQuery(Query):
@@ -174,14 +168,6 @@ class SurveyDocument(Document):
     advice: list[AdviceDocument] = Field(description="empty if the views are good to calibrate with")
 
 
-class RobotPoseDocument(Document):
-    """Where the robot says that it is."""
-
-    schema_: Literal["slabcell.robot-pose/1"] = Field(default="slabcell.robot-pose/1", alias="schema")
-    pose: Pose = Field(description="flange in the robot's base, X Y Z in mm, A B C in degrees")
-    age_s: float
-
-
 async def _detect(call: Call[ApiContext]) -> DetectionDocument:
     name, seen = await board_in(call.context, call.body)
     found: Json | None = seen["found"]
@@ -214,22 +200,7 @@ async def _add(call: Call[ApiContext]) -> ViewDocument:
     name, seen = await board_in(context, said)
     if seen["found"] is None:
         raise ProblemError(422, str(seen["problem"]))
-    pose = _robot_pose(context).pose if said.pose == "robot" else said.pose
-    return _view(context.studio.views.add(name, said.board, seen["found"], pose))
-
-
-def _robot_pose(context: ApiContext) -> RobotPoseDocument:
-    """Return the flange of the robot's newest telegram.  Raises ProblemError 409 if it is too old, or there is none."""
-    last, age_s = context.robot.last, time.monotonic() - context.robot.last_s
-    if last is None or age_s > POSE_AGE_S:
-        when = "has said nothing" if last is None else f"said it {age_s:.0f} s ago"
-        raise ProblemError(409, f"the robot {when}: its pose must be {POSE_AGE_S:g} s old at most; give it by hand")
-    flange = last.tcp @ context.cell.settings.tool.inverse()
-    return RobotPoseDocument(pose=flange.as_tuple(), age_s=round(age_s, 3))
-
-
-async def _where(call: Call[ApiContext]) -> RobotPoseDocument:
-    return _robot_pose(call.context)
+    return _view(context.studio.views.add(name, said.board, seen["found"], pose_said(context, said.pose)))
 
 
 async def _place(call: Call[ApiContext]) -> ViewDocument:
@@ -237,8 +208,7 @@ async def _place(call: Call[ApiContext]) -> ViewDocument:
     assert isinstance(said, PlaceBody)  # noqa: S101 - as the endpoint declares
     if context.studio.views.get(number) is None:
         raise ProblemError(404, f"there is no view {number}")
-    pose = _robot_pose(context).pose if said.pose == "robot" else said.pose
-    return _view(context.studio.views.place(number, pose))
+    return _view(context.studio.views.place(number, pose_said(context, said.pose)))
 
 
 async def _poses(call: Call[ApiContext]) -> ViewsDocument:
@@ -262,15 +232,7 @@ async def _survey(call: Call[ApiContext]) -> SurveyDocument:
     assert isinstance(query, SurveyQuery)  # noqa: S101 - as the endpoint declares
     views, present = context.studio.views.all, context.cell.calibration
     if not views:  # there is nothing to compute
-        advice = [asdict(item) for item in survey(query.kind, (), ()).advice]
-        return SurveyDocument(
-            kind=query.kind,
-            stands=[],
-            coverage=None,
-            turned_deg=None,
-            axis_spread=None,
-            advice=[AdviceDocument.model_validate(item) for item in advice],
-        )
+        return SurveyDocument.model_validate({"kind": query.kind, **asdict(survey(query.kind, (), ()))})
     fits = present is not None and all(
         (view.detection["width"], view.detection["height"]) == (present.camera.width, present.camera.height)
         for view in views
@@ -426,9 +388,6 @@ ENDPOINTS = (
         *(ViewsDocument, _TAG),
         raw="text/csv",
         body_bytes=POSES_BYTES,
-    ),
-    Endpoint(
-        *("GET", "/v1/calibration/robot-pose", "Where the robot says that it is", _where, RobotPoseDocument, _TAG),
     ),
     Endpoint(
         *("GET", "/v1/calibration/survey", "What the views cover, and what is missing yet", _survey),
