@@ -131,9 +131,9 @@ export class SlabPicture extends HTMLElement {
     await this.#image.decode().catch(() => undefined);
     if (before) URL.revokeObjectURL(before);
     this.#resize(document_.width, document_.height);
+    this.dataset.frame = document_.frame;  // who draws over it has to know which one it is
     this.draw(/** @type {Overlay | null} */ (document_.overlay));
     this.#tellAge();
-    this.dataset.frame = document_.frame;
   }
 
   async #load() {

@@ -2,7 +2,6 @@
 // Where is the board, now?  Takes pictures on request or on and on, and draws what was found over them, in their pixels.
 import { outline, SlabPicture, svg } from "../picture.js";
 import { say } from "../messages.js";
-import { watch as watchLive } from "../live.js";
 
 /** @typedef {{frame: string, found: boolean, points: [number, number, number][], problem: string, note: string}} Seen */
 
@@ -86,8 +85,6 @@ async function keepLooking() {
 }
 
 picture?.addEventListener("slab:drawn", draw);
-// The overlay of a picture is drawn before the picture says which one it is.
-if (picture) watchLive(() => requestAnimationFrame(() => requestAnimationFrame(draw)));
 document.getElementById("look")?.addEventListener("click", () => void look());
 step?.addEventListener("submit", (event) => {
   event.preventDefault();
