@@ -16,7 +16,7 @@ import sqlite3
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import astuple, replace
+from dataclasses import astuple
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TypeVar, cast
@@ -206,21 +206,22 @@ class LedgerFile:
         With ``offer_first`` the first one is written as offered at once: the robot may hear of it from now on.
         """
         with self.step():
+            now = self._now()
             cursor = self._db.execute(
                 "INSERT INTO cycles (job_id, session, trigger_sequence, began_utc) VALUES (?, ?, ?, ?)",
-                (job_id, session, sequence, self._now()),
+                (job_id, session, sequence, now),
             )
             cycle_id = cast("int", cursor.lastrowid)
             offers: list[OfferRecord] = []
-            now = self._now()
             for index, pair in enumerate(pairs):
+                state = _O.OFFERED if offer_first and index == 0 else _O.PLANNED
                 cursor = self._db.execute(
                     "INSERT INTO offers (job_id, cycle_id, idx, slot, state, score, reason, changed_utc,"
                     " pick_x, pick_y, pick_z, pick_a, pick_b, pick_c,"
                     " place_x, place_y, place_z, place_a, place_b, place_c)"
-                    " VALUES (?, ?, ?, ?, 'planned', ?, '', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                    " VALUES (?, ?, ?, ?, ?, ?, '', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
                     (
-                        *(job_id, cycle_id, index, pair.slot, pair.score, now),
+                        *(job_id, cycle_id, index, pair.slot, state.value, pair.score, now),
                         *pair.pick.as_tuple(),
                         *pair.place.as_tuple(),
                     ),
@@ -228,12 +229,11 @@ class LedgerFile:
                 result_id = cast("int", cursor.lastrowid)
                 offers.append(
                     OfferRecord(
-                        result_id, job_id, cycle_id, index, pair.slot, _O.PLANNED, pair.score, pair.pick, pair.place, ""
+                        result_id, job_id, cycle_id, index, pair.slot, state, pair.score, pair.pick, pair.place, ""
                     )
                 )
             if offer_first and offers:
-                self._write_state(offers[0].result_id, _O.OFFERED, session, sequence, "", 0)
-                offers[0] = replace(offers[0], state=_O.OFFERED)
+                self._write_said(offers[0].result_id, _O.OFFERED, session, sequence, "", now)
         return offers
 
     def move(
@@ -289,6 +289,11 @@ class LedgerFile:
             "UPDATE offers SET state = ?, reason = ?, fault = ?, changed_utc = ? WHERE result_id = ?",
             (state.value, reason, fault, now, result_id),
         )
+        self._write_said(result_id, state, session, sequence, reason, now)
+
+    def _write_said(
+        self, result_id: int, state: OfferState, session: int, sequence: int, reason: str, now: str
+    ) -> None:
         self._db.execute(
             "INSERT INTO acknowledgements (result_id, state, session, sequence, reason, at_utc)"
             " VALUES (?, ?, ?, ?, ?, ?)",

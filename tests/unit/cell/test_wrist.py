@@ -20,16 +20,16 @@ def whole_turns(angle, low, high):
 
 
 def one_after_the_other(at_pick, at_places, turns, limits, before):
+    low, high = limits
     ways = []
     for way, at_place in enumerate(at_places):
         for number, turn in enumerate(turns):
-            best = (math.inf, 0.0)
-            for pick in whole_turns(at_pick + turn, *limits):
-                for place in whole_turns(at_place + turn, *limits):
-                    travel = abs(pick - (pick if before is None else before)) + abs(place - pick)
-                    best = min(best, (travel, place))
-            ways.append((best[0], abs(turn), way, number, best[1]))
-    _, _, way, number, last = min(ways, key=lambda item: item[:2])
+            for pick in whole_turns(at_pick + turn, low, high):
+                for move in whole_turns(at_place - at_pick, low - high, high - low):
+                    if low <= pick + move <= high:
+                        travel = abs(pick - (pick if before is None else before)) + abs(move)
+                        ways.append((travel, abs(turn), way, number, pick + move))
+    _, _, way, number, last = min(ways)
     return way, number, last
 
 
