@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final, TextIO
 
 import structlog
+import structlog.tracebacks
 from structlog.typing import EventDict, Processor, WrappedLogger
 
 from slabcell.errors import SlabcellError
@@ -19,6 +20,11 @@ from slabcell.journal import Journal, is_journal
 from slabcell.log_rate import RateLimit
 
 __all__ = ["JOURNAL_FIELDS", "log_to_file", "log_to_journal", "log_to_stream"]
+
+_TRACEBACKS: Final = structlog.processors.ExceptionRenderer(
+    structlog.tracebacks.ExceptionDictTransformer(show_locals=False)
+)
+"""Where a failure came from, without the values of variables: a password or a whole picture may be among them."""
 
 _SYSTEMD_LEVELS: Final = {"critical": 2, "error": 3, "warning": 4, "info": 6, "debug": 7}
 
@@ -53,7 +59,8 @@ def log_to_stream(stream: TextIO) -> None:
     Source of the prefix: sd-daemon(3).
     """
     if stream.isatty():
-        _configure(structlog.dev.ConsoleRenderer(), structlog.PrintLoggerFactory(stream))
+        renderer = structlog.dev.ConsoleRenderer(exception_formatter=structlog.dev.plain_traceback)
+        _configure(renderer, structlog.PrintLoggerFactory(stream))
         return
     journal = Journal.connect() if is_journal(stream.fileno()) else None
     if journal is not None:
@@ -118,7 +125,7 @@ def _configure(renderer: Processor, factory: Callable[..., WrappedLogger]) -> No
             RateLimit(),
             structlog.processors.TimeStamper(fmt="iso", utc=True),
             structlog.processors.StackInfoRenderer(),
-            *(() if isinstance(renderer, structlog.dev.ConsoleRenderer) else (structlog.processors.dict_tracebacks,)),
+            *(() if isinstance(renderer, structlog.dev.ConsoleRenderer) else (_TRACEBACKS,)),
             _time_and_level_first,
             renderer,
         ],

@@ -110,8 +110,10 @@ def _explain(error: ValidationError, model: type[BaseModel], place: Callable[[Ke
             fault = f"unknown key {where!r}: {hint}"
         elif item["type"] == "missing":
             fault = f"key {where!r} is missing"
+        elif item["type"] in {"model_type", "model_attributes_type", "dict_type"}:
+            fault = f"{where} = {item['input']!r:.60}: is a table with keys of its own, no single value"
         else:
-            fault = f"{where} = {item['input']!r:.60}: {item['msg']}"
+            fault = f"{where} = {item['input']!r:.60}: {item['msg'].removeprefix('Value error, ')}"
         lines.append(f"{place(item['loc'])}: {fault}")
     return lines
 

@@ -85,6 +85,28 @@ def test_an_error_s_traceback_is_in_the_line_and_a_line_that_is_too_long_loses_i
     assert 50_000 < len(server.recv(200_000)) <= 60_000
 
 
+def test_a_traceback_holds_no_values_of_variables(journal, monkeypatch):
+    server, _ = journal
+
+    def log_in(password):
+        raise RuntimeError(len(password))
+
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    terminal, secret = Terminal(), "let me in"
+    for read in (lambda: server.recv(100_000).decode(), terminal.getvalue):
+        try:
+            log_in(secret)
+        except RuntimeError:
+            structlog.get_logger().exception("failed")
+        written = read()
+        assert "log_in" in written
+        assert "let me in" not in written
+        log_to_stream(terminal)
+
+
 def test_what_the_journal_does_not_take_goes_to_the_stream(journal):
     server, stream = journal
     server.close()

@@ -46,7 +46,7 @@ class AsBuilt:
     @classmethod
     def of(cls, slots: Sequence[Polygon], placements: Sequence[PlacementRecord], settings: CellSettings) -> "AsBuilt":
         """Return the report of what was measured."""
-        lying = {item.slot: _as_laid(slots[item.slot], item).shape for item in placements if _measured(item)}
+        lying = {item.slot: _as_laid(slots[item.slot], item).shape for item in placements if item.is_measured}
         slabs: list[SlabAsBuilt] = []
         for item in sorted(placements, key=lambda placement: placement.slot):
             others = [shape for slot, shape in lying.items() if slot != item.slot]
@@ -59,7 +59,7 @@ class AsBuilt:
     @property
     def mean_shift_mm(self) -> tuple[float, float] | None:
         """The mean of dx and of dy, which is what a base that is taught wrongly shows; None if nothing is measured."""
-        measured = [slab.placement for slab in self.slabs if _measured(slab.placement)]
+        measured = [slab.placement for slab in self.slabs if slab.placement.is_measured]
         if not measured:
             return None
         return float(np.mean([item.dx_mm for item in measured])), float(np.mean([item.dy_mm for item in measured]))
@@ -87,29 +87,42 @@ class AsBuilt:
         return stream.getvalue()
 
     def to_svg(self) -> str:
-        """Return a picture: slots in grey, slabs as they lie with their deviation enlarged, X to the right, Y up."""
+        """Return a picture: slots in grey, slabs as they lie with their deviation enlarged, X to the right, Y up.
+
+        What is drawn lies within the picture, however far a slab is off; words tell what is not in order.
+        """
+        drawn = {
+            slab.placement.slot: self._enlarged(slab.placement) for slab in self.slabs if slab.placement.is_measured
+        }
         x0, y0, x1, y1 = shapely.MultiPolygon([slot.shape for slot in self.slots]).bounds
-        margin = 0.08 * max(x1 - x0, y1 - y0) + 5.0
-        box = f"{x0 - margin:.2f} {-y1 - margin:.2f} {x1 - x0 + 2 * margin:.2f} {y1 - y0 + 2 * margin:.2f}"
-        size = 0.035 * max(x1 - x0, y1 - y0)
+        size = 0.03 * max(x1 - x0, y1 - y0)
+        around = shapely.GeometryCollection([slot.shape for slot in (*self.slots, *drawn.values())]).bounds
+        left, bottom, right, top = (
+            around[0] - 2.0 * size,
+            around[1] - 3.0 * size,
+            around[2] + 2.0 * size,
+            around[3] + size,
+        )
+        words = f"As built; deviations enlarged {EXAGGERATION:.0f} times"
+        box = f"{left:.2f} {-top:.2f} {right - left:.2f} {top - bottom:.2f}"
+        font = f'font-family="sans-serif" font-size="{size:.2f}"'
         lines = [
-            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{box}" font-family="sans-serif" font-size="{size:.2f}">',
-            f"<title>As built; deviations enlarged {EXAGGERATION:.0f} times</title>",
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{box}" {font}>',
+            f"<title>{words}</title>",
+            f'<text x="{left + size:.2f}" y="{-bottom - size:.2f}">{words}</text>',
         ]
         lines += [_path(slot, "#e4e4e4", "#b0b0b0") for slot in self.slots]
         for slab in self.slabs:
-            item = slab.placement
-            slot = self.slots[item.slot]
-            if _measured(item):
-                shown = PlacementRecord(
-                    *(item.slot, item.found, EXAGGERATION * item.dx_mm, EXAGGERATION * item.dy_mm),
-                    *(EXAGGERATION * item.da_deg, item.residual_mm),
-                )
-                lines.append(_path(_as_laid(slot, shown), "none", "#202020" if slab.verdict == "ok" else "#c00000"))
-            x, y = slot.centroid
-            text = f"{item.slot}" if slab.verdict == "ok" else f"{item.slot} {slab.verdict.replace('_', ' ')}"
-            lines.append(f'<text x="{x:.2f}" y="{-y:.2f}" text-anchor="middle">{text}</text>')
+            slot = slab.placement.slot
+            if slot in drawn:
+                lines.append(_path(drawn[slot], "none", "#202020" if slab.verdict == "ok" else "#c00000"))
+            lines += _label(self.slots[slot], slab, size)
         return "\n".join([*lines, "</svg>", ""])
+
+    def _enlarged(self, item: PlacementRecord) -> Polygon:
+        """Return the slab's outline with its deviation enlarged."""
+        shift = (EXAGGERATION * item.dx_mm, EXAGGERATION * item.dy_mm, EXAGGERATION * item.da_deg)
+        return _as_laid(self.slots[item.slot], PlacementRecord(item.slot, item.found, *shift, item.residual_mm))
 
     def _row(self, slab: SlabAsBuilt) -> list[object]:
         item = slab.placement
@@ -118,14 +131,26 @@ class AsBuilt:
         return [item.slot, slab.verdict, *rounded]
 
 
-def _measured(item: PlacementRecord) -> bool:
-    return item.found and math.isfinite(item.dx_mm + item.dy_mm + item.da_deg)
+def _label(slot: Polygon, slab: SlabAsBuilt, size: float) -> list[str]:
+    """Return the number of a slot, and below it what is wrong there, in its middle."""
+    item, (x, y) = slab.placement, slot.centroid
+    words = [str(item.slot)]
+    if slab.verdict == "out_of_tolerance":
+        words += [f"{item.dx_mm:+.2f} {item.dy_mm:+.2f} mm", f"{item.da_deg:+.2f}°"]
+    elif slab.verdict != "ok":
+        words.append(slab.verdict.replace("_", " "))
+    step = 1.1 * size
+    first = 0.35 * size - y - step * (len(words) - 1) / 2  # a letter's middle is a third of its height above its line
+    return [
+        f'<text x="{x:.2f}" y="{first + step * line:.2f}" text-anchor="middle">{word}</text>'
+        for line, word in enumerate(words)
+    ]
 
 
 def _verdict(item: PlacementRecord, settings: CellSettings) -> str:
     if not item.found:
         return "missing"
-    if not _measured(item):
+    if not item.is_measured:
         return "not_measured"
     inside = (
         max(abs(item.dx_mm), abs(item.dy_mm)) <= settings.tolerance_mm and abs(item.da_deg) <= settings.tolerance_deg

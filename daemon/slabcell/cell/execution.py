@@ -32,6 +32,9 @@ _FINDING_FAULTS = (
 )
 """Alarms that end when something can be offered."""
 
+MOST_NAMED = 12
+"""Slots that an alarm names; the report of the job has them all."""
+
 _HELD = {Fault.ASSEMBLY_NOT_EMPTY: HeldCause.OPERATOR, Fault.TRIED_TOO_OFTEN: HeldCause.OPERATOR}
 
 
@@ -122,7 +125,7 @@ class Execution:
             cycle.code = int(error.fault)
             self._cycles.end()
             raise
-        self._judge(placements)
+        self._judge(placements, final=len(placements) == job.slots)
         await self._desk.record(placements)
         self._emit(Verified(job, placements, final=False))
         await self._machine.fire(CellEvent.FINISH, "verified")
@@ -208,7 +211,7 @@ class Execution:
         except LookError as error:
             placements = ()
             self._alarms.come(Fault.VERIFICATION_IMPOSSIBLE, str(error))
-        self._judge(placements)
+        self._judge(placements, final=True)
         await self._desk.complete(placements)
         await self._machine.fire(CellEvent.FINISH, "verified")
         return Reply(ResultCode.JOB_COMPLETE)
@@ -220,17 +223,47 @@ class Execution:
         except LookError as error:  # the last picture decides; this one was for information
             self._log.warning("laid slabs not measured", detail=str(error))
             return
-        self._judge(placements)
+        self._judge(placements, final=False)
         self._emit(Verified(job, placements, final=False))
 
-    def _judge(self, placements: tuple[PlacementRecord, ...]) -> None:
-        limit_mm, limit_deg = self._settings.tolerance_mm, self._settings.tolerance_deg
-        for item in placements:
-            if not item.found:
-                self._alarms.come(Fault.PLACEMENT_MISSING, f"slot {item.slot}")
-            elif max(abs(item.dx_mm), abs(item.dy_mm)) > limit_mm or abs(item.da_deg) > limit_deg:
-                self._alarms.come(
-                    Fault.PLACEMENT_OUT_OF_TOLERANCE,
-                    f"slot {item.slot}: dx {item.dx_mm:+.2f} mm, dy {item.dy_mm:+.2f} mm, {item.da_deg:+.2f}°;"
-                    f" allowed are {limit_mm} mm and {limit_deg}°",
-                )
+    def _judge(self, placements: tuple[PlacementRecord, ...], *, final: bool) -> None:
+        """Raise what a person has to know of laid slabs; every slot is named.
+
+        One that cannot be measured may well be held by slabs that are still to come: only a ``final`` look says so.
+        """
+        if missing := [item.slot for item in placements if not item.found]:
+            self._alarms.come(Fault.PLACEMENT_MISSING, f"slot {_listed(missing)}")
+        if final and (open_ := [item.slot for item in placements if item.found and not item.is_measured]):
+            self._alarms.come(
+                Fault.VERIFICATION_IMPOSSIBLE,
+                f"slot {_listed(open_)}: edges and joints in the picture do not tell how it lies",
+            )
+        off = sorted((item for item in placements if self._excess(item) > 1.0), key=self._excess, reverse=True)
+        if not off:
+            return
+        worst, limit_mm, limit_deg = off[0], self._settings.tolerance_mm, self._settings.tolerance_deg
+        if others := [item.slot for item in off[1:]]:
+            self._alarms.come(
+                Fault.PLACEMENT_OUT_OF_TOLERANCE,
+                f"slot {worst.slot}: dx {worst.dx_mm:+.2f} mm, dy {worst.dy_mm:+.2f} mm, {worst.da_deg:+.2f}°;"
+                f" allowed are {limit_mm} mm and {limit_deg}°; out of tolerance too: slot {_listed(others)}",
+            )
+        else:
+            self._alarms.come(
+                Fault.PLACEMENT_OUT_OF_TOLERANCE,
+                f"slot {worst.slot}: dx {worst.dx_mm:+.2f} mm, dy {worst.dy_mm:+.2f} mm, {worst.da_deg:+.2f}°;"
+                f" allowed are {limit_mm} mm and {limit_deg}°",
+            )
+
+    def _excess(self, item: PlacementRecord) -> float:
+        """Return the largest deviation as a share of what is allowed; 0 for what was not measured."""
+        if not item.is_measured:
+            return 0.0
+        shift_mm, limit_mm = max(abs(item.dx_mm), abs(item.dy_mm)), self._settings.tolerance_mm
+        return max(shift_mm / limit_mm, abs(item.da_deg) / self._settings.tolerance_deg)
+
+
+def _listed(slots: list[int]) -> str:
+    """Return slots as people read them; of very many the first ones."""
+    shown = ", ".join(map(str, slots[:MOST_NAMED]))
+    return f"{shown} and {len(slots) - MOST_NAMED} more" if len(slots) > MOST_NAMED else shown

@@ -1,5 +1,6 @@
 """What stands in the ledger?  Jobs, results and placements as values, and the steps that a result may take."""
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -113,3 +114,8 @@ class PlacementRecord:
     dy_mm: float
     da_deg: float
     residual_mm: float
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether the picture tells how the slab lies; one that is not found is not measured either."""
+        return self.found and math.isfinite(self.dx_mm + self.dy_mm + self.da_deg)

@@ -9,7 +9,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+import shapely
+from pydantic import AfterValidator, Field, model_validator
 
 from slabcell.service.hmi_config import HmiConfig
 from slabcell.service.krl_config import KrlConfig
@@ -36,6 +37,19 @@ Millimetres = Annotated[float, Field(ge=-20_000, le=20_000)]
 Degrees = Annotated[float, Field(ge=-360, le=360)]
 Seconds = Annotated[float, Field(gt=0, le=600)]
 Point = tuple[Millimetres, Millimetres]
+
+
+def _one_area(points: list[Point]) -> list[Point]:
+    """Return the corners of one area.  Raises ValueError: of an outline that crosses itself nobody knows the inside."""
+    shape = shapely.Polygon(points)
+    if not shape.is_valid:
+        msg = f"is no simple polygon: {shapely.is_valid_reason(shape)}; give its corners in order, around it once"
+        raise ValueError(msg)
+    return points
+
+
+Area = Annotated[list[Point], Field(min_length=3, max_length=100), AfterValidator(_one_area)]
+"""Corners of a polygon, in order around it; the first is not repeated."""
 
 
 class FrameConfig(TomlTable):
@@ -134,8 +148,8 @@ class RobotConfig(TomlTable):
 class TableConfig(TomlTable):
     """``[table]``: where slabs are looked for."""
 
-    pick_area: list[Point] = Field(min_length=3, max_length=100, description="polygon in table coordinates, mm")
-    forbidden: list[Annotated[list[Point], Field(min_length=3, max_length=100)]] = Field(
+    pick_area: Area = Field(description="polygon in table coordinates, mm")
+    forbidden: list[Area] = Field(
         default=[],
         max_length=50,
         description="polygons in table coordinates into which neither tool nor slab is lowered, mm",

@@ -139,24 +139,18 @@ def _origin(keys: tuple[str, ...], origins: dict[KeyPath, str]) -> str:
 
 
 def _located(config: CellConfig, here: Path) -> CellConfig:
-    """Return the configuration with the files that it names relative to its own place."""
-    images, modbus, light, hmi = config.camera.images, config.robot.modbus, config.light, config.hmi
-    modbus = modbus.model_copy(update={"map": here / modbus.map if modbus.map else None})
-    if light is not None:
-        light = light.model_copy(update={"presets": here / light.presets if light.presets else None})
-    hmi = hmi.model_copy(
-        update={
-            "certificate": here / hmi.certificate if hmi.certificate else None,
-            "private_key": here / hmi.private_key if hmi.private_key else None,
-        }
-    )
-    return config.model_copy(
-        update={
-            "recipe": here / config.recipe,
-            "calibration": here / config.calibration if config.calibration else None,
-            "camera": config.camera.model_copy(update={"images": here / images if images else None}),
-            "robot": config.robot.model_copy(update={"modbus": modbus}),
-            "light": light,
-            "hmi": hmi,
-        }
-    )
+    """Return the configuration with every file and folder that it names relative to its own place."""
+    return CellConfig.model_validate(_beside(config.model_dump(), here))
+
+
+def _beside(value: Any, here: Path) -> Any:
+    """Return a value of a configuration with the paths in it, at any depth, taken as seen from ``here``."""
+    match value:
+        case Path():
+            return here / value
+        case dict():
+            return {key: _beside(inner, here) for key, inner in cast("Content", value).items()}
+        case list():
+            return [_beside(inner, here) for inner in cast("list[Any]", value)]
+        case _:
+            return value

@@ -76,7 +76,7 @@ class Reloader:
                 if now:
                     await self._change(config)
             except SlabcellError as error:
-                _log.exception("configuration not reloaded: nothing is changed")
+                _log.error("configuration not reloaded: nothing is changed", detail=str(error))
                 self._told({"reloaded": [], "pending": list(self._pending), "error": str(error)})
                 return
             self._pending[:] = [key for key in changed if not is_reloadable(key)]

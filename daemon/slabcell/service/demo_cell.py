@@ -112,7 +112,7 @@ async def open_demo_cell(options: DemoCellOptions, progress: Progress) -> AsyncG
     config = parts.config.model_copy(update=files)
     cell_parts = CellParts(calibration, parts.recipe, parts.arm, cell_settings(config))
     config_file = out / "cell.toml"
-    config_file.write_text(config_text(config, out), encoding="utf-8")
+    config_file.write_text(config_text(config), encoding="utf-8")
     async with running_cell(config, cell_parts, out, camera=simulated.camera) as (context, address, _):
         context.config_path = config_file
         context.board = BoardStand(simulated, options.seed)
@@ -147,10 +147,10 @@ async def _lay_on(cell: DemoCell, progress: Progress) -> None:
             await asyncio.sleep(AFTER_A_STOP_S)
 
 
-def config_text(config: CellConfig, out: Path) -> str:
+def config_text(config: CellConfig) -> str:
     """Return the configuration of a demo as a file beside its state, for `slabcell doctor` and the HMI."""
     content = config.model_dump(mode="json", exclude_defaults=True)
-    content |= {"recipe": str(config.recipe.absolute()), "calibration": "calibration.json", "state_directory": str(out)}
+    content |= {"recipe": str(config.recipe.absolute()), "calibration": "calibration.json", "state_directory": "."}
     return "\n".join(["# Written by slabcell demo.", *_table(content, "")]) + "\n"
 
 

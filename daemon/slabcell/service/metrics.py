@@ -15,11 +15,13 @@ from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamil
 from prometheus_client.registry import Collector
 
 from slabcell import __version__
+from slabcell.catalogue import catalogue
 from slabcell.cell import events
-from slabcell.cell.records import OfferState
+from slabcell.cell.records import JobState, OfferState
 from slabcell.cell.states import CellState
 from slabcell.service.api.context import ApiContext
 from slabcell.service.links import LinkState
+from slabcell.vision.result import RejectionReason
 from slabcell_drivers.robot.protocol import ResultCode
 
 __all__ = ["Metrics"]
@@ -74,8 +76,25 @@ class Metrics:
             "slabcell_rejected_blobs", "Blobs that the vision refused, by reason.", ["reason"], registry=registry
         )
         self._alarms = Counter("slabcell_alarms", "Alarms that came, by number.", ["number"], registry=registry)
+        self._begin()
         Info("slabcell_build", "Version of the daemon.", registry=registry).info({"version": __version__})
         registry.register(_Present(context, camera))
+
+    def _begin(self) -> None:
+        """Count from 0 what is known to be counted: of a series that begins with its first event, that one is lost.
+
+        Prometheus sees an increase only between two values.
+        """
+        for label in (*_RESULTS.values(), "fault", "other"):
+            self._cycles.labels(label)
+        for state in sorted(_ENDED):
+            self._results.labels(state.value)
+        for ended in (JobState.COMPLETE, JobState.ABANDONED):
+            self._jobs.labels(ended.value)
+        for reason in RejectionReason:
+            self._rejected.labels(reason.value)
+        for number in catalogue():
+            self._alarms.labels(str(number))
 
     def see(self, event: events.Event) -> None:
         """Take an event of the cell."""

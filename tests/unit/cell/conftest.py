@@ -85,6 +85,7 @@ class ScriptedEyes:
     far_away: set[int] = field(default_factory=set)
     lying: set[int] = field(default_factory=set)
     missing: set[int] = field(default_factory=set)
+    unmeasured: set[int] = field(default_factory=set)
     offset_mm: float = 0.01
     problem: Exception | None = None
     asked: list[tuple[int, ...]] = field(default_factory=list)
@@ -114,8 +115,9 @@ class ScriptedEyes:
         if self.problem is not None:
             raise self.problem
         self.measured.append(tuple(slots))
+        offsets = {slot: float("nan") if slot in self.unmeasured else self.offset_mm for slot in slots}
         return tuple(
-            PlacementRecord(slot, slot in self.lying - self.missing, self.offset_mm, 0.0, 0.0, 0.02)
+            PlacementRecord(slot, slot in self.lying - self.missing, offsets[slot], 0.0, 0.0, 0.02)
             for slot in sorted(slots)
         )
 

@@ -16,6 +16,7 @@ from slabcell_drivers.robot.frame import Frame
 pytestmark = pytest.mark.unit
 
 NAN = float("nan")
+SVG = "{http://www.w3.org/2000/svg}"
 SLOTS = [Polygon.from_points([(x, 0), (x + 40, 0), (x + 40, 30), (x, 30)]) for x in (0, 40.5, 81)]
 SETTINGS = CellSettings(Frame(), Frame(), Frame(), SLOTS[0], tolerance_mm=0.3, tolerance_deg=0.2)
 
@@ -62,8 +63,33 @@ def test_json_csv_and_picture_agree():
     assert document["slots"][1]["dx_mm"] is None
     assert rows[1]["dx_mm"] == ""
     assert document["ok"] is False
-    texts = [element.text for element in ET.fromstring(report.to_svg()).iter("{http://www.w3.org/2000/svg}text")]  # noqa: S314 - our own
-    assert texts == ["0", "1 not measured", "2 missing"]
+    caption, *texts = _texts(report)
+    assert "enlarged 20 times" in caption
+    assert texts == ["0", "1", "not measured", "2", "missing"]
+
+
+def test_the_picture_shows_whatever_is_drawn_and_says_by_how_much_it_is_off():
+    report = AsBuilt.of(SLOTS, [lying(0, -2.0), lying(1, 0.0, 3.0), lying(2, 9.0, da=4.0)], SETTINGS)
+    assert _texts(report)[1:] == [
+        "0",
+        "-2.00 +0.00 mm",
+        "+0.00°",
+        "1",
+        "+0.00 +3.00 mm",
+        "+0.00°",
+        "2",
+        "+9.00 +0.00 mm",
+        "+4.00°",
+    ]
+    root = ET.fromstring(report.to_svg())  # noqa: S314 - our own
+    left, top, width, height = (float(word) for word in root.attrib["viewBox"].split())
+    corners = [corner.split(",") for shape in root.iter(f"{SVG}polygon") for corner in shape.attrib["points"].split()]
+    assert len(corners) == 24
+    assert all(left <= float(x) <= left + width and top <= float(y) <= top + height for x, y in corners)
+
+
+def _texts(report):
+    return [element.text for element in ET.fromstring(report.to_svg()).iter(f"{SVG}text")]  # noqa: S314 - our own
 
 
 def test_a_job_is_ok_only_if_every_slot_was_measured():

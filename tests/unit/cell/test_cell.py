@@ -332,6 +332,22 @@ async def test_a_slab_out_of_tolerance_raises_the_alarm_but_the_job_ends(bench):
     (alarm,) = bench.cell.alarms.standing
     assert alarm.fault is Fault.PLACEMENT_OUT_OF_TOLERANCE
     assert "slot 0: dx +0.90 mm" in alarm.detail
+    assert alarm.detail.endswith("out of tolerance too: slot 1, 2")
+
+
+async def test_a_slab_of_which_the_picture_does_not_tell_how_it_lies_is_an_alarm_at_the_end_of_the_job(bench):
+    bench.eyes.unmeasured = {1}
+    await bench.robot.hello()
+    await bench.robot.trigger()
+    for _ in range(2):
+        await bench.robot.lay((await bench.robot.next()).offer.result_id)
+    await bench.robot.hello()
+    await bench.robot.trigger()  # the slab of slot 1 lies, and its neighbours are still to come
+    assert not bench.cell.alarms.standing
+    assert (await bench.robot.lay_all()).code == ResultCode.JOB_COMPLETE
+    (alarm,) = bench.cell.alarms.standing
+    assert alarm.fault is Fault.VERIFICATION_IMPOSSIBLE
+    assert alarm.detail.startswith("slot 1: edges and joints")
 
 
 async def test_after_the_job_a_trigger_answers_complete_until_the_program_greets_anew(bench):

@@ -42,6 +42,8 @@ def test_the_demos_configuration_is_valid_and_names_its_recipe_relative_to_itsel
         ('model = "kr3r540"', 'model = "kr3"', "robot.model = 'kr3'"),
         ("port = 0", "port = 99999", "less than or equal to 65534"),
         ("z_mm = 260.0", "z_mm = nan", "robot.tool.z_mm"),
+        ("[camera]\n", "[camera]\nproducers = {}\n", "camera.producers = {}: Input should be a valid list"),
+        ("tool = { z_mm = 260.0 }", "tool = 5", "robot.tool = 5: is a table with keys of its own"),
         ("x_mm = 190.0", "xmm = 190.0", "unknown key 'robot.pick_base.xmm': did you mean 'x_mm'?"),
     ],
 )
@@ -88,6 +90,34 @@ def test_a_fault_in_a_layer_names_the_layer(tmp_path: Path) -> None:
         load_layers(path, {"SLABCELL__CAMERA__TIMEOUT_S": "soon"})
     with pytest.raises(ConfigurationError, match=r"\$SLABCELL__CAMRA__GAIN_DB: unknown key 'camra'.*'camera'"):
         load_layers(path, {"SLABCELL__CAMRA__GAIN_DB": "1"})
+
+
+def test_whatever_file_or_folder_is_named_is_seen_from_where_the_configuration_lies(tmp_path: Path) -> None:
+    path = write(tmp_path, "demo", "demo")
+    folder = tmp_path / "cell.toml.d"
+    folder.mkdir()
+    (folder / "paths.toml").write_text(
+        'calibration = "c.json"\nstate_directory = "state"\n[camera]\nproducers = ["a.cti"]\nimages = "pictures"\n'
+        '[api]\nsocket = "api.sock"\n[robot.modbus]\nmap = "map.toml"\n'
+        '[hmi]\nstate_directory = "/var/hmi"\ncertificate = "c.pem"\nprivate_key = "k.pem"\n'
+    )
+    config = load_config(path)
+    assert config.calibration == tmp_path / "c.json"
+    assert config.state_directory == tmp_path / "state"
+    assert config.camera.producers == [tmp_path / "a.cti"]
+    assert config.camera.images == tmp_path / "pictures"
+    assert config.api.socket == tmp_path / "api.sock"
+    assert config.robot.modbus.map == tmp_path / "map.toml"
+    assert config.hmi.state_directory == Path("/var/hmi")
+    assert config.hmi.private_key == tmp_path / "k.pem"
+
+
+@pytest.mark.parametrize("corners", ["[[0, 0], [9, 9], [9, 0], [0, 9]]", "[[0, 0], [9, 9], [18, 18]]"])
+def test_an_area_that_encloses_nothing_certain_is_refused(tmp_path: Path, corners: str) -> None:
+    path = write(tmp_path, "demo", "demo")
+    for name, value in (("PICK_AREA", corners), ("FORBIDDEN", f"[{corners}]")):
+        with pytest.raises(ConfigurationError, match="is no simple polygon"):
+            load_layers(path, {f"SLABCELL__TABLE__{name}": value})
 
 
 def test_every_key_that_may_be_reloaded_exists(tmp_path: Path) -> None:

@@ -56,6 +56,24 @@ async def test_what_happened_is_counted(families):
     assert samples[("slabcell_state", "ready")] == 1
 
 
+async def test_what_has_not_happened_yet_is_counted_as_none(families):
+    # An increase is seen between two values only: a series that begins with its first event would hide that one.
+    begun = {
+        (sample.name, *sample.labels.values())
+        for family in (await families()).values()
+        for sample in family.samples
+        if sample.value == 0
+    }
+    for series in (
+        ("slabcell_alarms_total", "1101"),
+        ("slabcell_cycles_total", "nothing_left"),
+        ("slabcell_results_total", "failed"),
+        ("slabcell_jobs_total", "complete"),
+        ("slabcell_rejected_blobs_total", "slot_taken"),
+    ):
+        assert series in begun
+
+
 async def test_names_keep_the_conventions(families):
     for family in (await families()).values():
         if family.name.endswith("_created"):  # the library's own, beside each counter
