@@ -5,8 +5,9 @@ python benchmarks/hmi_offer.py [--pairs 60] [--pages 8]
 The simulated cell and the HMI are processes of their own; the robot is a socket that speaks EKI: HELLO, then TRIGGER
 and NEXT until an offer comes.  Nothing is acknowledged, so that every picture shows the same slabs.  Each pair is one
 measurement with nobody looking and one beside so many pages that show every picture, in an order drawn anew.  The
-pages' HMI takes its time from the same processor.  Taking the picture is rendering here, so both are given: the whole
-way, and what is left when the time that the cell says for the picture is taken off.
+pages' HMI takes its time from the same processor, with the priority of its unit; the pages are on other machines in a
+cell, and have the lowest priority here.  Taking the picture is rendering here, so both are given: the whole way, and
+what is left when the time that the cell says for the picture is taken off.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from benchmarks.hmi import Viewer, first_user, simulated_cell
-from tests.hmi.conftest import Cell, Client, hmi_server
+from benchmarks.hmi import Viewers, first_user, simulated_cell, yield_to_the_cell
+from tests.hmi.conftest import Cell, hmi_server
 
 from slabcell_drivers.robot.eki.codec import decode_answer, encode_request
 from slabcell_drivers.robot.protocol import Answer, Request, RequestType
@@ -70,30 +71,21 @@ class Robot:
         self._socket.close()
 
 
-def end(viewers: Sequence[Viewer]) -> None:
-    """Close pages."""
-    for viewer in viewers:
-        viewer.end()
-
-
-def measure(cell: Cell, robot: Robot, client: Client, pages: int, *, watched: bool) -> tuple[float, float, int]:
+def measure(cell: Cell, robot: Robot, viewers: Viewers, pages: int, *, watched: bool) -> tuple[float, float, int]:
     """Return the time to the first offer, the same without taking the picture, in ms, and the pictures shown.
 
     Pages are opened either way, and closed before the trigger if nobody is to look: the cell has the same time for
     what the cycle before has left it to do.
     """
-    viewers = [Viewer(client) for _ in range(pages)]
-    for viewer in viewers:
-        viewer.start()
-    if not watched:
-        end(viewers)
+    viewers.open(pages)
+    shown = 0 if watched else viewers.close()
     time.sleep(SETTLE_S)
     offer_ms = robot.first_offer_ms()
     if watched:
-        end(viewers)
+        shown = viewers.close()
     robot.ask(RequestType.HELLO)  # voids what was offered, and ends the cycle: its times are known then
     times = cell.api.get("/v1/cycles", limit=1)["cycles"][0]["times_ms"]
-    return offer_ms, offer_ms - times["acquire"], sum(viewer.pictures for viewer in viewers)
+    return offer_ms, offer_ms - times["acquire"], shown
 
 
 def report(name: str, alone: Sequence[float], beside: Sequence[float], pages: int) -> None:
@@ -120,17 +112,19 @@ def main() -> None:
     with simulated_cell() as (cell, folder):
         host, port = cell.tell("link").split()
         with hmi_server(cell.socket, folder, SLABCELL__HMI__LIVE_CLIENTS="64") as server:
-            client = first_user(server)
+            viewers = Viewers(first_user(server))
+            yield_to_the_cell(server)
             robot = Robot(host, int(port))
             for _ in range(5):  # caches fill
-                measure(cell, robot, client, 0, watched=False)
+                measure(cell, robot, viewers, 0, watched=False)
             for _ in range(options.pairs):
                 for watched in random.sample([False, True], 2):
-                    offer_ms, rest_ms, pictures = measure(cell, robot, client, options.pages, watched=watched)
+                    offer_ms, rest_ms, pictures = measure(cell, robot, viewers, options.pages, watched=watched)
                     whole[watched].append(offer_ms)
                     rest[watched].append(rest_ms)
                     shown += pictures
             robot.close()
+            viewers.end()
     report("trigger to first offer", whole[False], whole[True], options.pages)
     report("the same without taking the picture", rest[False], rest[True], options.pages)
     print(f"{shown} pictures were shown")

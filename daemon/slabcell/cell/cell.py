@@ -109,7 +109,8 @@ class Cell:
             alarms=self.alarms,
             conditions=self._conditions,
         )
-        self._leisure = bundles.leisure if bundles is not None else Leisure()
+        self.leisure = bundles.leisure if bundles is not None else Leisure()
+        """When what can be done later may be done."""
         self._turn = asyncio.Lock()
         self._changing = asyncio.Lock()
         self._clock = clock
@@ -407,7 +408,7 @@ class Cell:
                 self._log.warning("request refused", number=int(fault), type=request.type.name)
                 return self._to_answer(refusal(fault), request)
             before = self._cycles.present
-            with self._leisure.serving(), structlog.contextvars.bound_contextvars(**self._about(request)):
+            with self.leisure.serving(), structlog.contextvars.bound_contextvars(**self._about(request)):
                 answer = self._to_answer(await self._serving.reply(request), request)
             self._cycles.settle(request, answer, before=before)
             self._serving.conversation.remember(request, answer)

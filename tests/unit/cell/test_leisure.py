@@ -1,5 +1,6 @@
 """Does what can be done later leave its time to the robot, and is it done all the same?"""
 
+import asyncio
 import itertools
 import threading
 
@@ -59,3 +60,34 @@ def test_what_becomes_urgent_waits_no_longer():
         waiting = in_a_thread(leisure, urgent=urgent.is_set)
         urgent.set()
         assert ended(waiting)
+
+
+async def test_who_looks_on_waits_until_the_request_is_served_and_a_moment_longer():
+    leisure = Leisure()
+    await leisure.pause(LONG_S)  # nobody is served: at once
+    with leisure.serving():
+        looking = asyncio.create_task(leisure.pause(LONG_S))
+        await asyncio.sleep(0.05)
+        assert not looking.done()
+    with leisure.serving():  # the next one, at once
+        await asyncio.sleep(0.05)
+        assert not looking.done()
+    async with asyncio.timeout(SOON_S):
+        await looking
+
+
+async def test_who_looks_on_does_not_wait_for_ever():
+    leisure = Leisure()
+    with leisure.serving():
+        async with asyncio.timeout(SOON_S):
+            await leisure.pause(0.05)
+
+
+async def test_at_the_end_nobody_waits():
+    leisure = Leisure()
+    with leisure.serving():
+        looking = asyncio.create_task(leisure.pause(LONG_S))
+        await asyncio.sleep(0)
+        leisure.end()
+        async with asyncio.timeout(SOON_S):
+            await looking

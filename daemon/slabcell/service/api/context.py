@@ -25,6 +25,9 @@ from slabcell_drivers.camera.protocol import CameraInfo
 
 __all__ = ["ApiContext"]
 
+LOOKING_WAITS_S = 0.5
+"""So long at most does a client that only looks wait for a robot that is being served."""
+
 
 @dataclass(slots=True)
 class ApiContext:
@@ -54,3 +57,7 @@ class ApiContext:
     """The calibration board of a simulated cell."""
     doctor_turn: asyncio.Lock = field(default_factory=asyncio.Lock)
     pending_reload: list[str] = field(default_factory=list[str])
+
+    async def pause(self) -> None:
+        """Return when no robot is being served, or after `LOOKING_WAITS_S`."""
+        await self.cell.leisure.pause(LOOKING_WAITS_S)

@@ -99,11 +99,22 @@ class Endpoint(Generic[Context]):
         return self.writes and self.kept
 
 
-def make_route(endpoint: Endpoint[Context], context: Context, once: Once) -> Route:
-    """Return the route of an endpoint.  Whatever goes wrong in it is answered with a problem."""
+async def _at_once() -> None:
+    pass
+
+
+def make_route(
+    endpoint: Endpoint[Context], context: Context, once: Once, *, pause: Callable[[], Awaitable[None]] = _at_once
+) -> Route:
+    """Return the route of an endpoint.  Whatever goes wrong in it is answered with a problem.
+
+    Who only looks waits for a ``pause``; who wants something done does not.
+    """
 
     async def serve(request: Request) -> Response:
         try:
+            if not endpoint.writes:
+                await pause()
             query = _query(endpoint, request)
             raw = await _read_body(request, endpoint.body_bytes) if endpoint.writes else b""
             call = Call(context, request, _peer(request), query, _body(endpoint, request, raw), raw)

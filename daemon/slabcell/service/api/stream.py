@@ -7,7 +7,7 @@ of the server.  Source: WHATWG HTML, section "Server-sent events".
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Collection
+from collections.abc import Awaitable, Callable, Collection
 from typing import Final
 
 import structlog
@@ -41,7 +41,10 @@ class StreamSeats:
 
 
 class EventStream(Response):
-    """The stream to one client: what follows event ``after``, of the kinds it wants, until it goes."""
+    """The stream to one client: what follows event ``after``, of the kinds it wants, until it goes.
+
+    What has happened is told after a ``pause``: who looks on must take no time from the robot.
+    """
 
     media_type = "text/event-stream"
 
@@ -53,6 +56,7 @@ class EventStream(Response):
         after: int,
         gap: bool,
         kinds: Collection[str],
+        pause: Callable[[], Awaitable[None]],
         stuck_s: float = STUCK_S,
         keep_alive_s: float = KEEP_ALIVE_S,
     ) -> None:
@@ -63,6 +67,7 @@ class EventStream(Response):
         self._place = after
         self._gap = gap
         self._kinds = frozenset(kinds)
+        self._pause = pause
         self._stuck_s = stuck_s
         self._keep_alive_s = keep_alive_s
 
@@ -101,6 +106,7 @@ class EventStream(Response):
                 await self._write(send, text)
             if not page.items and not await self._ring.more(self._place, self._keep_alive_s):
                 await self._write(send, ":\n\n")
+            await self._pause()
         await send({"type": "http.response.body", "body": b"", "more_body": False})
 
     async def _write(self, send: Send, text: str) -> None:

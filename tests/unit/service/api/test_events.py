@@ -115,7 +115,7 @@ async def test_a_client_that_does_not_read_is_dropped_and_holds_nobody_up(api):
     async def receive():
         await asyncio.Event().wait()
 
-    stream = EventStream(api.ring, api.seats, after=api.ring.last, gap=False, kinds=(), stuck_s=0.05)
+    stream = EventStream(api.ring, api.seats, after=api.ring.last, gap=False, kinds=(), pause=api.pause, stuck_s=0.05)
     serving = asyncio.create_task(stream({"type": "http", "state": {"abort": aborted.set}}, receive, send))
     await began.wait()
     for _ in range(5000):
@@ -124,6 +124,26 @@ async def test_a_client_that_does_not_read_is_dropped_and_holds_nobody_up(api):
     assert aborted.is_set()
     assert (api.seats.taken, api.seats.dropped) == (0, 1)
     assert len(sent) == 3
+
+
+async def test_while_a_robot_is_served_nothing_is_told_and_afterwards_all_of_it(api, reader, monkeypatch):
+    monkeypatch.setattr("slabcell.service.api.context.LOOKING_WAITS_S", 600.0)
+    assert await reader.open() == 200
+    with api.cell.leisure.serving():
+        for number in range(3):
+            api.ring.add("state", json.dumps({"n": number}))
+        hearing = asyncio.create_task(reader.event())
+        assert not (await asyncio.wait({hearing}, timeout=0.2))[0]
+    async with asyncio.timeout(60):
+        assert [(await hearing)[2]["n"], *[(await reader.event())[2]["n"] for _ in range(2)]] == [0, 1, 2]
+
+
+async def test_a_robot_that_is_served_for_long_keeps_events_back_for_a_moment_only(api, reader):
+    assert await reader.open() == 200
+    with api.cell.leisure.serving():
+        api.ring.add("state", json.dumps({"n": 1}))
+        async with asyncio.timeout(60):
+            assert (await reader.event())[2] == {"n": 1}
 
 
 async def test_the_streams_end_when_the_daemon_does(api, reader):

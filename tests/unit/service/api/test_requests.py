@@ -169,6 +169,17 @@ async def test_a_write_that_was_cut_short_is_not_done_again(api, client):
     assert api.cell.state == "ready"
 
 
+async def test_who_looks_waits_for_a_robot_that_is_served_and_who_does_something_does_not(api, client, monkeypatch):
+    monkeypatch.setattr("slabcell.service.api.context.LOOKING_WAITS_S", 600.0)
+    with api.cell.leisure.serving():
+        looking = asyncio.create_task(asyncio.to_thread(client.get, "/v1/status"))
+        async with asyncio.timeout(60):
+            await asyncio.to_thread(client.post, "/v1/stop")
+        assert not (await asyncio.wait({looking}, timeout=0.2))[0]
+    async with asyncio.timeout(60):
+        assert (await looking)["state"] == "halted"
+
+
 async def test_a_problem_carries_the_catalogues_number_and_what_to_do(api, client):
     with pytest.raises(SlabcellError, match="a verification needs a job") as caught:
         await asyncio.to_thread(client.post, "/v1/verify")

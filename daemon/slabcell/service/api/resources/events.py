@@ -43,6 +43,7 @@ async def _events(call: Call[ApiContext]) -> Response:
         after=ring.last if place is None else place,
         gap=place is None,
         kinds={*kinds, "reset"} if kinds else (),
+        pause=call.context.pause,
     )
 
 
