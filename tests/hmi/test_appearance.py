@@ -9,12 +9,11 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from slabcell.catalogue import catalogue
-from slabcell.hmi.messages import load_messages, translate
+from slabcell.hmi.messages import translate
 from slabcell.hmi.words import LANGUAGES, load_alarms, load_tables
 
 from .browser import PATHS, SIZES, serious_findings, window
 from .conftest import LIMIT_S, Cell, Server
-from .messages import messages
 
 pytestmark = [pytest.mark.hmi, pytest.mark.timeout(300)]
 
@@ -99,31 +98,6 @@ def test_every_alarm_has_its_words_in_german() -> None:
     words = load_alarms("de")
     wanted = {f"alarm.{number}.{key}" for number in catalogue() for key in ("title", "meaning", "action")}
     assert words.keys() == wanted
-
-
-def test_every_message_of_the_daemon_that_pages_show_has_its_words_in_german() -> None:
-    wanted, words = messages(), load_messages("de")
-    assert len(wanted) > 60, "the source is read otherwise than it is written"
-    assert words.keys() == wanted.keys()
-    for english, german in words.items():
-        assert sorted(places(english)) == sorted(places(german)), english
-
-
-@pytest.mark.parametrize(
-    ("message", "german"),
-    [
-        ("/a/b: 512 MiB are free", "/a/b: 512 MiB sind frei"),
-        (
-            "/a: 5 MiB are free; below 9 MiB no bundle is kept",
-            "/a: 5 MiB sind frei; unter 9 MiB wird kein B\u00fcndel aufgehoben",
-        ),
-        ("the clock says 2026-11-27 11:00 UTC", "Die Uhr zeigt 2026-11-27 11:00 UTC"),
-        ("a text of a library {0}", "a text of a library {0}"),
-    ],
-)
-def test_messages_are_told_apart_by_what_they_say(message: str, german: str) -> None:
-    assert translate("de", message) == german
-    assert translate("en", message) == message
 
 
 def test_the_doctor_speaks_german(cell: Cell, hmi: Server) -> None:

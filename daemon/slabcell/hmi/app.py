@@ -25,7 +25,6 @@ from slabcell.hmi.pages import PAGES
 from slabcell.hmi.route import HmiRoute, Page
 from slabcell.hmi.static_files import static_files
 from slabcell.hmi.visit import Refusal, Visit
-from slabcell.hmi.words import LANGUAGES
 
 __all__ = ["make_app"]
 
@@ -106,11 +105,8 @@ def _route(hmi: Hmi, page: Page, route: HmiRoute) -> Route:
 async def _visit(hmi: Hmi, page: Page, request: Request) -> Visit:
     token = request.cookies.get(cookie_name(hmi), "")
     session = await hmi.sessions.find(token) if token else None
-    language = request.cookies.get("slabcell-language", "")
-    if language not in LANGUAGES:
-        language = hmi.options.language
     theme = request.cookies.get("slabcell-theme", "")
-    words = hmi.words[language].of(page.name)
+    words = hmi.words_of(request.cookies, page.name)
     return Visit(hmi, request, page.name, words, theme if theme in {"light", "dark"} else "auto", session)
 
 
@@ -125,7 +121,9 @@ async def _answer(visit: Visit, route: HmiRoute) -> Response:
     except SlabcellError as error:
         unavailable = isinstance(error, (UnavailableError, TemporaryError))
         status = HTTPStatus.SERVICE_UNAVAILABLE if unavailable else HTTPStatus.CONFLICT
-        return _refused(visit, status, str(error))
+        response = _refused(visit, status, visit.words.said(str(error)))
+        visit.outcome = str(error)  # the log has one language; its page says it in the reader's
+        return response
 
 
 async def _admit(visit: Visit, route: HmiRoute) -> None:

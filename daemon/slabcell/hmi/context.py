@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -16,7 +17,7 @@ from slabcell.hmi.security.limit import LoginLimit
 from slabcell.hmi.security.sessions import Sessions
 from slabcell.hmi.security.store import Store
 from slabcell.hmi.security.users import Users
-from slabcell.hmi.words import LANGUAGES, Words
+from slabcell.hmi.words import LANGUAGES, PageWords, Words
 
 __all__ = ["Hmi", "HmiOptions"]
 
@@ -57,6 +58,11 @@ class Hmi:
     live: int = 0
     """Pages that are connected now."""
     stopping: asyncio.Event = field(default_factory=asyncio.Event)
+
+    def words_of(self, cookies: Mapping[str, str], page: str) -> PageWords:
+        """Return the words of a page in the language that a person has chosen, else in that of this HMI."""
+        chosen = cookies.get("slabcell-language", "")
+        return self.words[chosen if chosen in self.words else self.options.language].of(page)
 
     @classmethod
     def of(cls, options: HmiOptions, pages: tuple[Page, ...]) -> Hmi:

@@ -66,6 +66,7 @@ class _Seat:
 
     def __init__(self, hmi: Hmi, socket: WebSocket, session: Session) -> None:
         self._hmi, self._link, self._socket, self._session = hmi, hmi.link, socket, session
+        self._words = hmi.words_of(socket.cookies, "base")
         self._wants_picture = False
         self._watches = False
         self._sent: Picture | None = None
@@ -135,7 +136,8 @@ class _Seat:
         self._sent = picture
         self._wants_picture = False
         age_s = time.monotonic() - picture.taken_s
-        await self._tell({"picture": {**picture.document, "age_s": round(age_s, 3)}})
+        document = self._words.said_in(picture.document)
+        await self._tell({"picture": {**document, "age_s": round(age_s, 3)}})
         async with asyncio.timeout(STUCK_S):
             await self._socket.send_bytes(picture.jpeg)
 

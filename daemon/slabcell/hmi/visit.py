@@ -101,7 +101,10 @@ class Visit:
     async def post(self, path: str, body: Json | None = None) -> Response:
         """Have the daemon do something for who asks; say what came of it.  Raises SlabcellError."""
         done = await self.hmi.api.post(path, body, user=self.user.name, key=self.key())
-        return self.done(self.words.said(str(done.get("detail", ""))))
+        detail = str(done.get("detail", ""))
+        response = self.done(self.words.said(detail))
+        self.outcome = detail  # the log has one language; its page says it in the reader's
+        return response
 
     def key(self) -> str:
         """Return the key under which a write is done once: the page's own, else a new one."""

@@ -10,7 +10,7 @@ import tomllib
 from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from slabcell.hmi.messages import translate
 
@@ -18,6 +18,10 @@ __all__ = ["LANGUAGES", "PageWords", "Words", "load_alarms", "load_tables"]
 
 LANGUAGES: Final = {"en": "English", "de": "Deutsch"}
 ROOM: Final = Path(__file__).parent
+SAID: Final = frozenset(
+    {"detail", "doing", "message", "note", "problem", "problems", "refusal", "segmentation", "title"}
+)
+"""Keys of the daemon's documents under which it speaks to people, one message or a list of them."""
 
 Table = dict[str, str]
 
@@ -40,6 +44,11 @@ def _flat(content: Mapping[str, Any], above: str = "") -> list[tuple[str, str]]:
     for name, value in content.items():
         lines += _flat(value, f"{above}{name}.") if isinstance(value, dict) else [(f"{above}{name}", str(value))]  # pyright: ignore[reportUnknownArgumentType]  (TOML)
     return lines
+
+
+def _may_speak(item: object) -> bool:
+    """Whether an entry of a list is more than the numbers that outlines and histograms are made of."""
+    return isinstance(item, dict)
 
 
 class Words:
@@ -106,6 +115,22 @@ class PageWords:
     def said(self, message: str) -> str:
         """Return a message of the daemon in this language, as far as there are words for it."""
         return translate(self.language, message)
+
+    def said_in(self, document: Any) -> Any:
+        """Return a JSON value of the daemon with what it says to people in this language; the rest is as it is."""
+        if self.language == "en":
+            return document
+        if isinstance(document, list):
+            return [self.said_in(item) for item in document] if any(map(_may_speak, document)) else document  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]  (JSON)
+        if not isinstance(document, dict):
+            return document
+        table = cast("dict[str, Any]", document)
+        return {name: self._said(value) if name in SAID else self.said_in(value) for name, value in table.items()}
+
+    def _said(self, value: Any) -> Any:
+        if isinstance(value, list):
+            return [self._said(item) for item in cast("list[Any]", value)]
+        return self.said(value) if isinstance(value, str) else value
 
     def maybe(self, key: str, default: str) -> str:
         """Return a word, or what stands for it: for names that come from the daemon, which may be newer."""

@@ -43,17 +43,16 @@ class RobotWatch:
     def link_changed(self, state: RobotLinkState) -> None:
         """Note where the link stands, and tell the cell: the hook of a `RobotLink`."""
         if state is RobotLinkState.CONNECTED:
-            self._links.set(LinkName.ROBOT, LinkState.UP, f"connected{self._address}")
+            said = f"the robot is connected at {self._address}" if self._address else "the robot is connected"
+            self._links.set(LinkName.ROBOT, LinkState.UP, said)
             self._cell.robot_link(connected=True)
             return
-        waiting = state is RobotLinkState.LISTENING
-        self._links.set(
-            LinkName.ROBOT,
-            LinkState.CONNECTING if waiting else LinkState.DOWN,
-            f"waiting for the robot{self._address}" if waiting else "closed",
-        )
-        if waiting:  # closed is what we do ourselves, in the end
+        if state is RobotLinkState.LISTENING:
+            said = f"waiting for the robot at {self._address}" if self._address else "waiting for the robot"
+            self._links.set(LinkName.ROBOT, LinkState.CONNECTING, said)
             self._cell.robot_link(connected=False)
+        else:  # what we do ourselves, in the end
+            self._links.set(LinkName.ROBOT, LinkState.DOWN, "the link is closed")
 
     def unreachable(self, why: str) -> None:
         """Note that nobody listens for the robot, and why."""
@@ -61,7 +60,7 @@ class RobotWatch:
 
     def meets_at(self, host: str, port: int, link: RobotLink) -> None:
         """Note where both meet, once that is known."""
-        self._address = f" at {host}:{port}"
+        self._address = f"{host}:{port}"
         self._link = link
         self.link_changed(link.state)
 

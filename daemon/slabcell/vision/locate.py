@@ -106,13 +106,13 @@ class Locator(Prepared):
             features, parts, rejected = report.arrange(parts, rejected)
         clock.stop("decide")
         filled = {part.slot for part in parts}
-        note = f"; {left_out} specks left out" if left_out else ""
+        specks = f"{left_out} specks left out" if left_out else ""
         return LocateResult(
             tuple(parts),
             tuple(rejected),
             tuple(sorted(free - filled)),
             clock.times(),
-            segmentation.description + note,
+            "; ".join(filter(None, (segmentation.description, specks))),
             engine().name,
             gates,
             features,
@@ -183,9 +183,9 @@ class Locator(Prepared):
         height, width = segmentation.mask.shape
         whole = np.repeat(np.repeat(usable, GRID_PX, axis=0), GRID_PX, axis=1)[:height, :width]
         share = 100.0 * (1.0 - float(whole.mean()))
-        note = f"{segmentation.description}; {share:.0f} % of the picture see no table"
+        note = f"{share:.0f} % of the picture see no table"
         made = np.where(whole, segmentation.mask, np.uint8(0))
-        return replace(segmentation, level=None, made=made, description=note)
+        return replace(segmentation, level=None, made=made, description=f"{segmentation.description}; {note}")
 
     def _any_plausible(self, blobs: Blobs) -> bool:
         """Return whether some blob has about the area of a slot and lies wholly in the picture."""

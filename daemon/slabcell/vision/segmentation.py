@@ -115,13 +115,13 @@ def segment(
         above = (grey > threshold).astype(np.uint8) * np.uint8(255)
         light = _slabs_are_light(rim_of(above), 127.0, parameters.polarity)
         return _finish(Segmentation(text, picture, contrast, light=light, made=_side(above, light=light)), parameters)
-    needed, why = _needed(surveyed.noise), ""
+    needed, smoothed = _needed(surveyed.noise), ""
     if split is not None and contrast < needed and contrast >= MIN_CONTRAST:
         # Too noisy pixel by pixel: the outline is found where neighbours agree, the edges are measured as they are.
         smooth = _as_mask(cv2.GaussianBlur(picture, (0, 0), SMOOTH_PX))
         again = engine().survey(smooth)
         if again.split is not None and again.split.light - again.split.dark >= _needed(again.noise):
-            why = f" of the picture smoothed over {SMOOTH_PX:g} px, because its noise is {surveyed.noise:.1f}"
+            smoothed = f"found in the picture smoothed over {SMOOTH_PX:g} px, because its noise is {surveyed.noise:.1f}"
             picture, surveyed, split, histogram = smooth, again, again.split, again.grey
             contrast, needed = split.light - split.dark, _needed(again.noise)
     if split is None or contrast < needed:
@@ -129,7 +129,7 @@ def segment(
         return Segmentation(f"{text} (noise {surveyed.noise:.1f})", picture, 0.0, NOTHING)
     light = _slabs_are_light(surveyed.rim, split.level, parameters.polarity)
     found, text = _threshold(picture, histogram, split, parameters, light=light)
-    text = f"{text}{why}; slabs are {'light' if light else 'dark'}"
+    text = "; ".join(filter(None, (text, smoothed, "slabs are light" if light else "slabs are dark")))
     if isinstance(found, np.ndarray):
         return _finish(Segmentation(text, picture, contrast, light=light, made=_side(found, light=light)), parameters)
     return _finish(Segmentation(text, picture, contrast, found, light), parameters)

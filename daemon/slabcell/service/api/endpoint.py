@@ -192,8 +192,10 @@ def _validated(model: type[_Model], content: object) -> _Model:
     except ValidationError as error:
         found = error.errors(include_url=False)[0]
         where = ".".join(str(part) for part in found["loc"]) or "the body"
-        known = f"; known are {', '.join(model.model_fields)}" if found["type"] == "extra_forbidden" else ""
-        raise ProblemError(422, f"{where} = {found['input']!r:.60}: {found['msg']}{known}") from error
+        fault = f"{where} = {found['input']!r:.60}: {found['msg']}"
+        if found["type"] == "extra_forbidden":
+            fault = f"{fault}; known are {', '.join(model.model_fields)}"
+        raise ProblemError(422, fault) from error
 
 
 async def _read_body(request: Request, limit: int) -> bytes:

@@ -103,7 +103,7 @@ async def _check(visit: Visit) -> Response:
     }
     await api.post("/v1/frames/take", user=user, key=visit.key())
     done = await api.post("/v1/calibration/check", body, user=user, key=visit.key())
-    text = visit.words("holds") if done["ok"] else " ".join(done["problems"])
+    text = visit.words("holds") if done["ok"] else " ".join(map(visit.words.said, done["problems"]))
     return visit.done(text, "calibration")
 
 

@@ -77,6 +77,7 @@ async def _result(visit: Visit) -> Response:
 
 
 async def _shown(visit: Visit, task: Json, kind: str) -> Response:
+    task = visit.words.said_in(task)
     values: dict[str, Any] = {"task": task, "kind": kind, "report": None, "drawn": None, "compare": None, "name": ""}
     if task["state"] == "done":
         report, name = task["result"]["report"], task["result"]["calibration"]

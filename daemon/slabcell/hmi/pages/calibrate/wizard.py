@@ -110,7 +110,7 @@ def _said(visit: Visit, item: Json) -> str:
     words, values = visit.words, item["values"]
     text = words.maybe(f"advice.{item['code']}", "")
     if not text:
-        return str(item["text"])
+        return words.said(str(item["text"]))
     names = {
         "places": [words.maybe(f"corner.{name.replace(' ', '_')}", name) for name in values.get("places", ())],
         "sides": [words.maybe(f"side.{name}", name) for name in values.get("sides", ())],
@@ -131,7 +131,7 @@ async def _look(visit: Visit) -> Response:
     frame = await api.post("/v1/frames/take", user=user, key=visit.key())
     board = visit.text("board")
     found = await api.post("/v1/calibration/detect", {"board": board, "picture": "latest"}, user=user, key=visit.key())
-    return JSONResponse({**found, "frame": frame["frame"]})
+    return JSONResponse({**visit.words.said_in(found), "frame": frame["frame"]})
 
 
 async def _collect(visit: Visit) -> Response:

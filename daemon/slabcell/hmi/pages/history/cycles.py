@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from datetime import UTC, datetime
 from http import HTTPStatus
 from typing import Any, Final
@@ -98,6 +99,8 @@ async def _file(visit: Visit) -> Response:
         if name != "overlay.json":
             raise
         return JSONResponse(NOTHING_FOUND)  # a verification, or a cycle that failed before anything was located
+    if name == "overlay.json" and not visit.text("download"):
+        return JSONResponse(visit.words.said_in(json.loads(answer.content)))
     headers = {"cache-control": "private, max-age=3600"}
     if visit.text("download"):
         headers["content-disposition"] = f'attachment; filename="cycle-{number}-{name}"'

@@ -111,7 +111,7 @@ def _values(words: PageWords, values: Mapping[str, Any]) -> dict[str, str]:
         elif name.endswith("place"):
             shown[name] = _place(words, value)
         else:
-            shown[name] = str(value)
+            shown[name] = words.said(str(value)) if name == "detail" else str(value)
     return shown
 
 

@@ -52,8 +52,8 @@ async def answer(visit: Visit, work: Awaitable[Json]) -> Response:
     except SlabcellError as error:
         busy = isinstance(error, TemporaryError) or error.number == Fault.NOT_READY
         visit.outcome = str(error)
-        return JSONResponse({"problem": str(error), "busy": busy})
-    return JSONResponse(done)
+        return JSONResponse({"problem": visit.words.said(str(error)), "busy": busy})
+    return JSONResponse(visit.words.said_in(done))
 
 
 async def ask(visit: Visit, path: str, body: Json | None = None, *, timeout_s: float = 60.0) -> Json:

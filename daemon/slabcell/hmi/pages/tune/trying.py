@@ -72,7 +72,8 @@ async def _upload(visit: Visit) -> Response:
 
 
 async def _task(visit: Visit) -> Response:
-    return JSONResponse(await visit.hmi.api.get(f"/v1/tasks/{quote(visit.request.path_params['task'], safe='')}"))
+    task = await visit.hmi.api.get(f"/v1/tasks/{quote(visit.request.path_params['task'], safe='')}")
+    return JSONResponse(visit.words.said_in(task))
 
 
 async def _cancel(visit: Visit) -> Response:
