@@ -108,8 +108,10 @@ def _type_of(node: ast.arg | ast.AnnAssign | ast.FunctionDef) -> ast.expr | None
 
 
 def _is_not_said(function: ast.expr) -> bool:
-    name = ast.unparse(function).partition("[")[0]
-    return "_log." in name or name.rpartition(".")[2] in NOT_SAID
+    if isinstance(function, ast.Subscript):
+        return _is_not_said(function.value)
+    called = function.attr if isinstance(function, ast.Attribute) else ast.unparse(function)
+    return called in NOT_SAID or "_log." in ast.unparse(function)
 
 
 def _is_text(node: ast.AST) -> bool:
