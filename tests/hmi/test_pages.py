@@ -254,12 +254,20 @@ def test_a_login_that_ends_leads_an_open_page_to_the_login(hmi: Server, browser:
 
 def test_pages_are_light_without_their_pictures(hmi: Server, browser: Browser) -> None:
     with window(browser, hmi, "admin") as page:
+        browsing = page.context.new_cdp_session(page)
+        browsing.send("Network.setCacheDisabled", {"cacheDisabled": True})
         sizes: list[int] = []
-        page.on("response", lambda answer: sizes.append(_weight(answer)))
+
+        def weigh(answer: Response) -> None:
+            sizes.append(_weight(answer))
+
+        page.on("response", weigh)
         for path in PATHS:
             sizes.clear()
             page.goto(path, wait_until="load")
             assert sum(sizes) <= 300_000, (path, sizes)
+        page.remove_listener("response", weigh)
+        browsing.detach()
 
 
 def _weight(answer: Response) -> int:

@@ -343,9 +343,10 @@ def test_only_what_passes_its_graded_pictures_is_applied_and_it_can_be_taken_bac
         expect(page.locator("#base")).to_have_value(graded)
         assert active() == graded
     lines = hmi.client("admin").get("/users").text
-    assert "/tune/check" in lines
-    assert "/tune/apply" in lines
-    assert "/tune/preview" not in lines, "what changes nothing is not in the audit log"
+    by_engineer = "<td>engineer</td><td>127.0.0.1</td><td>"
+    assert f"{by_engineer}/tune/check" in lines
+    assert f"{by_engineer}/tune/apply" in lines
+    assert f"{by_engineer}/tune/preview" not in lines, "what changes nothing is not in the audit log"
 
 
 def test_a_live_picture_is_refused_in_words_while_a_robot_might_wait(cell: Cell, hmi: Server, browser: Browser) -> None:

@@ -32,9 +32,9 @@ class CellApi:
         self._timeout_s = timeout_s
         self._threads = ThreadPoolExecutor(REQUESTS_AT_ONCE, thread_name_prefix="slabcell-hmi-api")
 
-    async def get(self, path: str, **query: str | float | bool) -> Json:
-        """Return the JSON object of a resource."""
-        return await self._run(partial(self._client("").get, path, **query))
+    async def get(self, path: str, *, timeout_s: float | None = None, **query: str | float | bool) -> Json:
+        """Return the JSON object of a resource; ``timeout_s`` where the daemon's bench has to work for it."""
+        return await self._run(partial(self._client("", timeout_s).get, path, **query))
 
     async def fetch(self, path: str, **query: str | float | bool) -> Answer:
         """Return a resource of any kind."""

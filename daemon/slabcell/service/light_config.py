@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
 from slabcell.catalogue import Fault
-from slabcell.cell.alarms import Alarms
 from slabcell.errors import ConfigurationError
 from slabcell.service.links import LinkName, Links, LinkState
 from slabcell.toml_file import TomlTable
@@ -25,6 +24,9 @@ from slabcell_drivers.light import (
     SerialLight,
     load_presets,
 )
+
+if TYPE_CHECKING:  # whoever reads a configuration, such as the pages, does without the vision that alarms lead to
+    from slabcell.cell.alarms import Alarms
 
 __all__ = ["LightConfig", "LightReport", "known_presets", "make_light", "with_light"]
 

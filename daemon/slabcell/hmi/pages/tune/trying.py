@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from http import HTTPStatus
-from typing import Final
+from typing import Any, Final
 from urllib.parse import quote
 
 from starlette.responses import JSONResponse, Response
@@ -49,7 +49,8 @@ async def _buffer(visit: Visit) -> Response:
 
 async def _sets(visit: Visit) -> Response:
     recipe = visit.text("recipe")
-    return JSONResponse(await visit.hmi.api.get("/v1/vision/sets", **({"recipe": recipe} if recipe else {})))
+    query: dict[str, Any] = {"recipe": recipe} if recipe else {}
+    return JSONResponse(await visit.hmi.api.get("/v1/vision/sets", **query))
 
 
 async def _keep(visit: Visit) -> Response:
