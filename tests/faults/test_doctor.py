@@ -1,16 +1,23 @@
 """Does the doctor find what is wrong, say what to do, and change nothing?"""
 
+import contextlib
 import json
+import sqlite3
+import tomllib
 from pathlib import Path
 
 import pytest
 
+from slabcell.cell.ledger import APPLICATION_ID
+from slabcell.cell.schema import MIGRATIONS
+from slabcell.service.config import CellConfig
 from slabcell.service.doctor import Check, Patient, Severity, examine
 from slabcell.service.doctor_checks import CHECKS
 
 pytestmark = [pytest.mark.faults, pytest.mark.timeout(180)]
 
 DOCS = Path(__file__).parents[2] / "docs"
+CONFIG = Path(__file__).parents[2] / "config"
 
 
 def findings(cell, code: int) -> dict[int, list[dict]]:
@@ -105,6 +112,45 @@ def test_an_installed_and_an_edited_unit_are_told_apart(tmp_path):
     found = [item.detail for item in examine(Patient(Path("none"), tmp_path), [check])]
     assert any("not the one of this version" in detail for detail in found)
     assert any("not enabled" in detail for detail in found)
+
+
+@pytest.mark.parametrize(
+    ("robot", "severity", "words"),
+    [
+        ({"eki": {"host": "localhost", "port": 0}}, "warning", "localhost cannot be reached by a robot"),
+        ({"eki": {"host": "no.such.name.invalid"}}, "error", "is no address of this PC"),
+        ({"link": "modbus-tcp", "modbus": {"port": 0}}, "ok", "127.0.0.1:0 can be listened on"),
+        (
+            {"link": "modbus-tcp", "modbus": {"host": "203.0.113.7", "peers": ["203.0.113.8"]}},
+            "error",
+            "[robot.modbus]",
+        ),
+        ({"link": "modbus-tcp", "modbus": {"role": "client", "host": "plc"}}, "note", "polls the PLC at plc:1502"),
+        ({"link": "modbus-rtu", "modbus": {"device": "/dev/no-such-line"}}, "error", "/dev/serial/by-id"),
+        ({"link": "modbus-rtu", "modbus": {"device": "/dev/null"}}, "ok", "/dev/null is there"),
+    ],
+    ids=str,
+)
+def test_the_robots_end_is_looked_at_by_the_link_that_is_configured(robot, severity, words):
+    content = tomllib.loads((CONFIG / "demo.toml").read_text())
+    content["robot"] = {**content["robot"], **robot}
+    (check,) = [item for item in CHECKS if item.subject == "robot's network"]
+    found = list(examine(Patient(Path("none"), config=CellConfig.model_validate(content)), [check]))
+    assert found[-1].severity == severity
+    assert any(words in f"{item.detail} {item.remedy}" for item in found)
+
+
+def test_looking_at_a_ledger_of_an_earlier_version_does_not_bring_it_up_to_date(tmp_path):
+    old = tmp_path / "ledger.sqlite"
+    with contextlib.closing(sqlite3.connect(old)) as database:
+        for statement in (*MIGRATIONS[0], f"PRAGMA application_id={APPLICATION_ID}", "PRAGMA user_version=1"):
+            database.execute(statement)
+    before = old.read_bytes()
+    content = {**tomllib.loads((CONFIG / "demo.toml").read_text()), "state_directory": str(tmp_path)}
+    (check,) = [item for item in CHECKS if item.subject == "state directory"]
+    found = list(examine(Patient(Path("none"), config=CellConfig.model_validate(content)), [check]))
+    assert any(f"{old}: in order" in item.detail for item in found)
+    assert old.read_bytes() == before
 
 
 def test_a_small_socket_buffer_is_found(tmp_path):

@@ -149,7 +149,7 @@ class Planner:
         self, part: LocatedPart, pick: Descent, wrist_deg: float | None, correction_mm: tuple[float, float]
     ) -> tuple[Pair, float]:
         """Return the poses of one part, and where A6 stands after it was laid.  Raises ArmError."""
-        at_pick = self._descend(pick)
+        at_pick = self._descend(pick, "pick")
         reached = self._places_reached(self._alike(part, correction_mm), self._recipe.height_mm(part.slot))
         limits = self._arm.axis_min_deg[5], self._arm.axis_max_deg[5]
         a6 = [a6 for a6, _ in reached]
@@ -184,7 +184,7 @@ class Planner:
         for turn, place in product(self._few_turns_deg, self._alike(part, correction_mm)):
             (way,) = self._descents(self._pick_base, [_turned(part.pick, turn)], [height_mm])
             try:
-                self._descend(way)
+                self._descend(way, "pick")
                 self._place_axes(_turned(place, turn), height_mm)
             except ArmError as error:
                 problem = problem or error
@@ -227,14 +227,20 @@ class Planner:
 
     def _at_place(self, place: PlanarPose, height_mm: float) -> Axes:
         (way,) = self._descents(self._place_base, [place], [height_mm])
-        return self._descend(way)
+        return self._descend(way, "place")
 
-    def _descend(self, way: Descent) -> Axes:
-        """Return the axes at a pose; raises ArmError unless the arm gets straight down to it in one configuration."""
+    def _descend(self, way: Descent, end: str) -> Axes:
+        """Return the axes at a pose; raises ArmError unless the arm gets straight down to it in one configuration.
+
+        The error says at which ``end`` of the slab's way that is, pick or place.
+        """
         above, at = way
-        axes = self._arm.inverse(above)
-        status, _ = self._arm.status_turn(axes)
-        return self._arm.inverse(at, near=axes, status=status)
+        try:
+            axes = self._arm.inverse(above)
+            status, _ = self._arm.status_turn(axes)
+            return self._arm.inverse(at, near=axes, status=status)
+        except ArmError as error:
+            raise ArmError(f"{end}: {error}", error.fault) from error
 
 
 def _down(pose: PlanarPose, turn_deg: float, height_mm: float) -> Frame:

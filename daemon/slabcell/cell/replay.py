@@ -68,8 +68,8 @@ def replay(bundle: Bundle, recipe: Recipe | None = None) -> Replay:
             differences.append(Difference(slot, "was not offered, is now"))
         elif before[slot] != after[slot]:
             differences.append(_difference(before[slot], after[slot]))
-    order = [pair.slot for pair in bundle.pairs] == [pair.slot for pair in planned.pairs]
-    return Replay(bundle.pairs, planned.pairs, tuple(differences), order)
+    order, now = ([slot for slot in side if slot in before.keys() & after.keys()] for side in (before, after))
+    return Replay(bundle.pairs, planned.pairs, tuple(differences), order == now)
 
 
 def _difference(old: Pair, new: Pair) -> Difference:

@@ -3,10 +3,9 @@
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
-from slabcell.cli.talk import AsJson, Socket, client, print_json, seconds
+from slabcell.cli.talk import AsJson, Socket, client, make_console, print_json, seconds
 
 __all__ = ["alarms_app"]
 
@@ -23,14 +22,17 @@ def list_command(
     as_json: AsJson = False,
 ) -> None:
     """Show the alarms that stand, the most urgent first, and what to do."""
-    document = client(socket).get("/v1/alarms", shelved=shelved)
+    document = client(socket).get("/v1/alarms", shelved=shelved or not as_json)
     if as_json:
         print_json(document)
         return
-    console = Console()
-    if not document["alarms"]:
+    console = make_console()
+    shown = [alarm for alarm in document["alarms"] if shelved or not alarm["shelved_s"]]
+    if not shown:
         console.print("no alarm")
-    for alarm in document["alarms"]:
+    if hidden := len(document["alarms"]) - len(shown):
+        console.print(f"{hidden} shelved: slabcell alarms list --shelved")
+    for alarm in shown:
         style = {"high": "bold red", "medium": "yellow", "low": ""}[alarm["priority"]]
         console.print(f"{alarm['number']} {alarm['title']} ({alarm['priority']})", style=style, highlight=False)
         console.print(f"  for {seconds(alarm['age_s'])}{_remarks(alarm)}: {alarm['detail']}", highlight=False)
@@ -63,7 +65,7 @@ def history(
     table = Table("number", "title", "came (UTC)", "went (UTC)", "why")
     for alarm in document["alarms"]:
         table.add_row(str(alarm["number"]), alarm["title"], alarm["came"], alarm["went"] or "stands", alarm["why"])
-    Console().print(table)
+    make_console().print(table)
     if document["before"] is not None:
         typer.echo(f"older ones: --before {document['before']}")
 

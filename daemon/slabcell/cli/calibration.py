@@ -6,12 +6,11 @@ from typing import Annotated, Any
 from urllib.parse import quote
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from slabcell.calibration import parse_pose
 from slabcell.cli.files import read_file
-from slabcell.cli.talk import AsJson, Socket, client, print_json
+from slabcell.cli.talk import AsJson, Socket, client, make_console, print_json
 from slabcell.cli.vision import chosen_picture
 from slabcell.errors import UsageError
 
@@ -50,7 +49,7 @@ def list_command(socket: Socket = None, *, as_json: AsJson = False) -> None:
             "" if drift is None else f"{drift['mean_mm']:.3f} ({drift['worst_mm']:.3f})",
             item["problem"] or ("" if item["has_plane"] else "no plane"),
         )
-    Console().print(table)
+    make_console().print(table)
 
 
 @calibration_app.command("show")
@@ -206,7 +205,7 @@ def compare_command(
     for key in before:
         if key != "warnings" and (before[key], after[key]) not in {(None, None), ("", "")}:
             table.add_row(key, *("" if item[key] is None else str(item[key]) for item in (before, after)))
-    Console().print(table)
+    make_console().print(table)
     drift = document["drift"]
     if drift is not None:
         typer.echo(f"points on the table move by {drift['mean_mm']:.3f} mm, {drift['worst_mm']:.3f} at most")
@@ -232,7 +231,7 @@ def checks_command(
             *(item["at"][:19], item["calibration"], "holds" if item["ok"] else "does not hold", *numbers),
             "" if drift is None else f"{drift['worst_mm']:.3f}",
         )
-    Console().print(table)
+    make_console().print(table)
 
 
 @calibration_app.command("clear")

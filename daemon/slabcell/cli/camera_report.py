@@ -7,6 +7,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from slabcell.cli.talk import make_console
 from slabcell_drivers.camera.aravis_features import Feature
 from slabcell_drivers.camera.gvcp import Device
 from slabcell_drivers.camera.stream_test import StreamReport
@@ -53,7 +54,7 @@ def print_devices(devices: tuple[Device, ...]) -> None:
         table.add_row(
             str(device.address), device.serial, device.vendor, device.model, device.user_name, device.mac_text
         )
-    Console().print(table)
+    make_console().print(table)
 
 
 def print_features(features: Sequence[Feature]) -> None:
@@ -65,10 +66,10 @@ def print_features(features: Sequence[Feature]) -> None:
         if feature.category != category:
             category = feature.category
             table.add_section()
-            table.add_row(f"[bold]{category}[/bold]")
+            table.add_row(category, style="bold")
         value = "" if feature.value is None else str(feature.value)
         table.add_row(feature.name, value, _range(feature), feature.access)
-    Console().print(table)
+    make_console().print(table)
 
 
 def _range(feature: Feature) -> str:

@@ -5,10 +5,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
-from slabcell.cli.talk import AsJson, print_json
+from slabcell.cli.talk import AsJson, make_console, print_json
 from slabcell.service.builder import read_parts
 from slabcell.service.config import CellConfig
 from slabcell.service.config_layers import load_layers
@@ -41,7 +40,11 @@ def check(config: Where = DEFAULT, *, as_json: AsJson = False) -> None:
         return
     typer.echo(f"{', '.join(files)}: right; recipe {parts.recipe.name} with {len(parts.recipe.template.slots)} slots")
     if parts.calibration is None:
-        typer.echo("there is no calibration yet: the cell starts, and waits for one")
+        named = loaded.config.calibration
+        what = f"{named} is not there" if named else "the configuration names none"
+        typer.echo(f"there is no calibration yet ({what}): the cell starts, and waits for one")
+    if loaded.config.camera.driver == "simulated":
+        typer.echo("camera.driver simulated: only `slabcell demo` has a world to look at, `slabcell run` refuses it")
 
 
 @config_app.command()
@@ -66,7 +69,7 @@ def show(
         text = json.dumps(item.value)
         shown = text if len(text) <= 40 else f"{text[:37]}..."
         table.add_row(item.key, shown, item.origin, "SIGHUP" if is_reloadable(item.key) else "restart")
-    Console().print(table)
+    make_console().print(table)
 
 
 @config_app.command()

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Annotated, TypeVar
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
+from slabcell.cli.talk import make_console
 from slabcell.errors import UsageError
 from slabcell.hmi.security.audit import Audit
 from slabcell.hmi.security.roles import Role
@@ -121,4 +121,4 @@ def audit_command(
     table = Table("time", "user", "from", "action", "status", "outcome")
     for line in lines:
         table.add_row(line.at_utc, line.user, line.address, line.action, str(line.status), line.outcome)
-    Console().print(table)
+    make_console().print(table)

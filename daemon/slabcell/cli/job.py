@@ -3,14 +3,13 @@
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
-from slabcell.cli.talk import AsJson, Socket, client, print_json
+from slabcell.cli.talk import AsJson, Socket, client, make_console, print_json
 
 __all__ = ["job_app"]
 
-job_app = typer.Typer(help="Show jobs, and what became of their slabs.", no_args_is_help=True)
+job_app = typer.Typer(help="Show jobs, and what became of their slabs; close one that is open.", no_args_is_help=True)
 
 
 @job_app.command()
@@ -36,13 +35,19 @@ def show(
         offsets = [_number(measured, key) for key in ("dx_mm", "dy_mm", "da_deg")]
         style = "bold red" if offer["state"] == "unknown" else ""
         table.add_row(str(offer["result"]), str(offer["slot"]), offer["state"], *offsets, offer["reason"], style=style)
-    Console().print(table)
+    make_console().print(table)
     slots = head["slots"]
     typer.echo(f"{len(slots['laid'])} of {slots['total']} slots are laid, {len(slots['free'])} are free")
 
 
 def _number(measured: dict[str, Any] | None, key: str) -> str:
     return "" if measured is None or measured[key] is None else f"{measured[key]:+.3f}"
+
+
+@job_app.command()
+def abandon(socket: Socket = None) -> None:
+    """Close the open job before it is complete; the robot must not be at work on a slab of it."""
+    typer.echo(client(socket).post("/v1/jobs/current/abandon")["detail"])
 
 
 @job_app.command("list")
@@ -64,6 +69,6 @@ def list_command(
     for job in document["jobs"]:
         laid = f"{len(job['slots']['laid'])} of {job['slots']['total']}"
         table.add_row(str(job["job"]), job["recipe"], job["state"], laid, job["began"], job["ended"] or "")
-    Console().print(table)
+    make_console().print(table)
     if document["before"] is not None:
         typer.echo(f"older ones: --before {document['before']}")

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from slabcell.cell.ledger import LedgerError, LedgerFile
 from slabcell.cell.ledger_export import export_document, read_export, restore, set_aside, write_export
 from slabcell.cell.records import OfferState
+from slabcell.cli.talk import make_console
 from slabcell.service.api.client import ApiClient, default_socket
 from slabcell.service.devices import InstanceLock
 
@@ -82,7 +82,7 @@ def show(
         style = "bold red" if row["state"] == OfferState.UNKNOWN else ""
         cells = (str(row[key]) for key in ("result_id", "slot", "state", "changed_utc", "reason"))
         table.add_row(*cells, style=style)
-    Console().print(table)
+    make_console().print(table)
     laid = sum(row["state"] == OfferState.PLACED for row in offers)
     typer.echo(f"{laid} of {head['slots']} slots are laid")
 

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 from serial.tools import list_ports
 
+from slabcell.cli.talk import make_console
 from slabcell.errors import ConfigurationError, UnavailableError, UsageError
 from slabcell.service.config_layers import load_config
 from slabcell.service.light_config import known_presets, make_light
@@ -61,7 +61,7 @@ def list_command(presets: _Presets = None, *, as_json: _Json = False) -> None:
         strobe = "by command or wire" if preset.commands.trigger else "by wire" if preset.commands.strobe else "no"
         baud = str(preset.baud_rate or "name it")
         table.add_row(preset.name, preset.title, str(preset.channels), baud, strobe, preset.source)
-    console = Console()
+    console = make_console()
     console.print(table)
     console.print("serial lines: " + (", ".join(line["device"] for line in lines) or "none"), highlight=False)
 

@@ -6,11 +6,10 @@ from typing import Annotated, Any
 from urllib.parse import quote, urlencode
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from slabcell.cli.files import read_file
-from slabcell.cli.talk import AsJson, Socket, client, print_json
+from slabcell.cli.talk import AsJson, Socket, client, make_console, print_json
 from slabcell.cli.vision import candidate
 from slabcell.service.api.client import ApiClient
 
@@ -34,7 +33,7 @@ def list_command(socket: Socket = None, *, as_json: AsJson = False) -> None:
     for item in document["recipes"]:
         active = "active" if item["active"] else ""
         table.add_row(item["name"], active, str(item["slots"]), item["sha256"][:12], item["problem"])
-    Console().print(table)
+    make_console().print(table)
 
 
 def show_command(name: Name, socket: Socket = None, *, as_json: AsJson = False) -> None:
@@ -123,7 +122,7 @@ def diff_command(
     table = Table("parameter", document["active"], name if file is None else str(file), "unit")
     for item in document["changes"]:
         table.add_row(item["key"], json.dumps(item["active"]), json.dumps(item["candidate"]), item["unit"])
-    Console().print(table)
+    make_console().print(table)
 
 
 def verify_running(api: ApiClient, name: str) -> dict[str, Any]:

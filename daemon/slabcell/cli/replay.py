@@ -12,6 +12,7 @@ from rich.table import Table
 from slabcell import __version__
 from slabcell.cell.bundle_file import read_bundle
 from slabcell.cell.replay import NothingToReplayError, Replay, replay
+from slabcell.cli.talk import make_console
 from slabcell.errors import SlabcellError
 from slabcell.recipe import Recipe, load_recipe
 
@@ -34,7 +35,7 @@ def replay_command(
     run, or none was: those of verifications, in which nothing was offered, are passed over.
     """
     other = load_recipe(recipe) if recipe is not None else None
-    console = Console()
+    console = make_console()
     failed, compared = False, 0
     for path in bundles:
         try:

@@ -6,9 +6,12 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from slabcell.cli.talk import AsJson, Socket, client, print_json, seconds
+from slabcell.cli.talk import AsJson, Socket, client, make_console, print_json, seconds
 
 __all__ = ["status_command"]
+
+_ENDS = {0: "done", 1: "job complete", 2: "nothing left to offer"}
+"""How a cycle ends that has no fault; what another code means stands in the error catalogue."""
 
 
 def status_command(socket: Socket = None, *, as_json: AsJson = False) -> None:
@@ -17,21 +20,21 @@ def status_command(socket: Socket = None, *, as_json: AsJson = False) -> None:
     if as_json:
         print_json(status)
         return
-    console = Console()
+    console = make_console()
     because = ", ".join(f"{word}: {status[word]}" for word in ("held", "suspended") if status[word])
-    console.print(f"[bold]{status['name']}[/bold]: {status['state']}{f' ({because})' if because else ''}")
+    console.print(f"{status['name']}: {status['state']}{f' ({because})' if because else ''}", style="bold")
     console.print(f"slabcell {status['version']}, up for {seconds(status['uptime_s'])}, recipe {status['recipe']}")
     _print_links(console, status)
     _print_job(console, status["job"])
     _print_cycle(console, status["cycle"])
     alarm = status["highest_alarm"]
     if alarm:
-        console.print(f"[bold red]{alarm['number']} {alarm['title']}[/bold red]: {alarm['detail']}", highlight=False)
-        console.print(f"  {alarm['action']}", highlight=False)
+        console.print(f"{alarm['number']} {alarm['title']}: {alarm['detail']}", style="bold red")
+        console.print(f"  {alarm['action']}")
         if status["alarms"] > 1:
-            console.print(f"  and {status['alarms'] - 1} more: slabcell alarms")
+            console.print(f"  and {status['alarms'] - 1} more: slabcell alarms list")
     if status["pending_reload"]:
-        console.print(f"[yellow]changed, needs a restart: {', '.join(status['pending_reload'])}[/yellow]")
+        console.print(f"changed, needs a restart: {', '.join(status['pending_reload'])}", style="yellow")
 
 
 def _print_links(console: Console, status: dict[str, Any]) -> None:
@@ -58,5 +61,5 @@ def _print_cycle(console: Console, cycle: dict[str, Any] | None) -> None:
         return
     times = "  ".join(f"{stage} {ms:.0f} ms" for stage, ms in cycle["times_ms"].items())
     what = "verification" if cycle["verification"] else f"{cycle['found']} found, {len(cycle['offers'])} offered"
-    console.print(f"last cycle: code {cycle['code']}, {what}")
+    console.print(f"last cycle: {_ENDS.get(cycle['code']) or cycle['message'] or cycle['code']}, {what}")
     typer.echo(f"  {times}")

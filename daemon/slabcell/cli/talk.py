@@ -1,6 +1,8 @@
 """What do the verbs that talk to a running daemon share?  Their options, and how they print."""
 
 import json
+import os
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,7 +13,10 @@ from rich.table import Table
 
 from slabcell.service.api.client import ApiClient
 
-__all__ = ["AsJson", "Socket", "client", "print_json", "print_parts", "seconds"]
+__all__ = ["AsJson", "Socket", "client", "make_console", "print_json", "print_parts", "seconds"]
+
+UNBOUNDED = 1000
+"""Columns of what is no terminal."""
 
 Socket = Annotated[
     Path | None,
@@ -29,6 +34,15 @@ def client(path: Path | None, *, timeout_s: float = 60.0) -> ApiClient:
     return ApiClient(path, timeout_s=timeout_s)
 
 
+def make_console() -> Console:
+    """Return what tables and lines are printed to: as wide as the terminal; into a file or a pipe nothing is cut off.
+
+    Texts from outside may hold brackets: none is taken for markup.
+    """
+    unbounded = not sys.stdout.isatty() and "COLUMNS" not in os.environ
+    return Console(width=UNBOUNDED if unbounded else None, markup=False, highlight=False)
+
+
 def print_json(document: Mapping[str, Any]) -> None:
     """Print one object on one line."""
     typer.echo(json.dumps(document))
@@ -41,7 +55,7 @@ def print_parts(located: Mapping[str, Any]) -> None:
         pick = part["pick"]
         numbers = (part["score"], part["residual_mm"], pick["x_mm"], pick["y_mm"], pick["a_deg"])
         table.add_row(str(part["slot"]), *(f"{number:.3f}" for number in numbers))
-    Console().print(table)
+    make_console().print(table)
     for blob in located["rejected"]:
         typer.echo(f"refused at {blob['image']['u']:.0f}, {blob['image']['v']:.0f}: {blob['reason']}: {blob['detail']}")
 

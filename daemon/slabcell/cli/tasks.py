@@ -4,10 +4,9 @@ import json
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
-from slabcell.cli.talk import AsJson, Socket, client, print_json, seconds
+from slabcell.cli.talk import AsJson, Socket, client, make_console, print_json, seconds
 
 __all__ = ["task_app"]
 
@@ -26,7 +25,7 @@ def list_command(socket: Socket = None, *, as_json: AsJson = False) -> None:
     for item in document["tasks"]:
         steps = f"{item['done']}/{item['total']}" if item["total"] else ""
         table.add_row(item["task"], item["title"], item["state"], steps, seconds(item["duration_s"]), item["problem"])
-    Console().print(table)
+    make_console().print(table)
 
 
 @task_app.command("wait")

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from slabcell.cli.files import write_file
+from slabcell.cli.talk import make_console
 from slabcell.errors import SlabcellError, TemplateError, UsageError
 from slabcell.geometry import Points
 from slabcell.template import Examined, Template, examine_csv, read_file
@@ -147,7 +147,7 @@ def _print(file: Path, template: Template, drawing: Drawing | None) -> None:
             drawn = drawing.slots[index]
             cells += [drawn.layer, drawn.handle, "" if drawn.thickness_mm is None else f"{drawn.thickness_mm:g}"]
         table.add_row(*cells)
-    Console().print(table)
+    make_console().print(table)
     for item in () if drawing is None else drawing.problems:
         typer.echo(f"{file}: {item.text}")
 

@@ -3,10 +3,9 @@
 from typing import Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
-from slabcell.cli.talk import AsJson, Socket, client, print_json, print_parts
+from slabcell.cli.talk import AsJson, Socket, client, make_console, print_json, print_parts
 
 __all__ = ["trigger_command", "verify_command"]
 
@@ -42,4 +41,4 @@ def verify_command(socket: Socket = None, *, as_json: AsJson = False) -> None:
         table.add_row(
             str(item["slot"]), "yes" if item["found"] else "no", *("" if n is None else f"{n:+.3f}" for n in numbers)
         )
-    Console().print(table)
+    make_console().print(table)

@@ -5,10 +5,9 @@ from typing import Annotated, Any
 from urllib.parse import quote
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
-from slabcell.cli.talk import AsJson, Socket, client, print_json
+from slabcell.cli.talk import AsJson, Socket, client, make_console, print_json
 from slabcell.cli.vision import Base, Everywhere, PictureName, RecipeFile, candidate, chosen_picture, vision_app
 from slabcell.errors import UsageError
 from slabcell.service.api.client import ApiClient
@@ -121,4 +120,4 @@ def _show(done: dict[str, Any]) -> None:
             f"{row['timing_ms'].get('total', 0.0):.1f}",
             row["refusal"],
         )
-    Console().print(table)
+    make_console().print(table)

@@ -1,6 +1,7 @@
 """Which questions does `slabcell doctor` ask?  One table, from which its page in the documentation is drawn."""
 
 from slabcell.service import doctor_files as files
+from slabcell.service import doctor_robot as robot
 from slabcell.service import doctor_system as system
 from slabcell.service.doctor import Check
 
@@ -16,7 +17,7 @@ CHECKS: tuple[Check, ...] = (
     Check(7, "camera", "how-to/camera.md", system.look_at_camera),
     Check(8, "camera's network", "reference/cameras.md", system.look_at_link),
     Check(9, "socket buffer", "how-to/install-service.md", system.look_at_buffers),
-    Check(10, "robot's network", "reference/eki-channel.md", system.look_at_robot),
+    Check(10, "robot's network", "reference/eki-channel.md", robot.look_at_robot),
     Check(11, "service", "how-to/install-service.md", system.look_at_unit),
     Check(12, "daemon", "reference/control-api.md", system.look_at_daemon),
 )

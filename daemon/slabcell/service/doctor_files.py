@@ -122,8 +122,8 @@ def look_at_state(patient: Patient) -> Answers:
             "see errors.md",
         )
     ledger = named / "ledger.sqlite"
-    if ledger.exists() and os.access(ledger, os.W_OK):
-        book = LedgerFile(ledger)
+    if ledger.exists() and os.access(ledger, os.R_OK):
+        book = LedgerFile(ledger, copy=True)  # the file itself would be brought up to date by opening it
         try:
             unknown = [row for row in book.rows("offers") if row["state"] == "unknown"]
         finally:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import errno
-import socket
 from collections.abc import Iterator
 from importlib import resources
 from ipaddress import IPv4Address, ip_network
@@ -20,7 +18,7 @@ from slabcell_drivers.camera.discovery import Interface, find_camera, interfaces
 from slabcell_drivers.camera.gvcp import Device
 from slabcell_drivers.camera.probe import Sight, look
 
-__all__ = ["look_at_buffers", "look_at_camera", "look_at_daemon", "look_at_link", "look_at_robot", "look_at_unit"]
+__all__ = ["look_at_buffers", "look_at_camera", "look_at_daemon", "look_at_link", "look_at_unit"]
 
 Answers = Iterator[tuple[Severity, str, str]]
 
@@ -117,33 +115,6 @@ def look_at_buffers(patient: Patient) -> Answers:
         yield Severity.OK, f"net.core.rmem_max is {here}; a frame has {needed} bytes", ""
 
 
-def look_at_robot(patient: Patient) -> Answers:
-    """Ask whether the robot can reach the address at which it is waited for."""
-    if patient.config is None:
-        return
-    eki, krl = patient.config.robot.eki, patient.config.robot.krl
-    if not krl.robot_connects:
-        yield Severity.NOTE, f"the cell connects to the robot at {krl.robot_ip}:{krl.robot_port}", ""
-        return
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((eki.host, eki.port))
-        except OSError as error:
-            if error.errno == errno.EADDRINUSE:
-                detail = f"{eki.host}:{eki.port} is in use"
-                yield Severity.NOTE, detail, "by the daemon, if it runs; otherwise end the other program"
-            else:
-                ours = ", ".join(f"{item.name} {item.address}" for item in interfaces())
-                how = "correct [robot.eki] host, or give an interface this address"
-                yield Severity.ERROR, f"{eki.host} is no address of this PC ({error.strerror}); there are {ours}", how
-        else:
-            yield Severity.OK, f"{eki.host}:{eki.port} can be listened on", ""
-    if IPv4Address(eki.host).is_loopback and not IPv4Address(str(krl.robot_ip)).is_loopback:
-        how = "name this PC's address on the robot's network in [robot.eki] host"
-        yield Severity.WARNING, f"{eki.host} cannot be reached by a robot at {krl.robot_ip}", how
-
-
 def look_at_unit(patient: Patient) -> Answers:
     """Look whether the service is installed as this version ships it, and enabled."""
     unit = patient.root / "etc/systemd/system/slabcell.service"
@@ -169,8 +140,10 @@ def look_at_unit(patient: Patient) -> Answers:
 def look_at_daemon(patient: Patient) -> Answers:
     """Ask the daemon how it is."""
     socket_path = DEFAULT_SOCKET
-    if patient.config is not None and patient.state is not None and not DEFAULT_SOCKET.exists():
-        socket_path = api_socket(patient.config.api.socket, patient.state)
+    if patient.config is not None and patient.config.api.socket is not None:
+        socket_path = patient.config.api.socket
+    elif patient.state is not None and not DEFAULT_SOCKET.exists():
+        socket_path = api_socket(None, patient.state)
     try:
         status = ApiClient(socket_path, timeout_s=5.0).get("/v1/status")
     except SlabcellError as error:

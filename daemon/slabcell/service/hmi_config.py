@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from slabcell.toml_file import TomlTable
 
-__all__ = ["HmiConfig"]
+__all__ = ["HmiConfig", "is_local_host"]
 
 Name = Annotated[str, Field(pattern=r"^[a-z0-9]([a-z0-9.-]{0,251}[a-z0-9])?$")]
 
@@ -55,9 +55,14 @@ class HmiConfig(TomlTable):
     @property
     def is_local(self) -> bool:
         """Whether only this machine reaches the address."""
-        if self.host == "localhost":
-            return True
-        try:
-            return ipaddress.ip_address(self.host).is_loopback
-        except ValueError:
-            return False
+        return is_local_host(self.host)
+
+
+def is_local_host(host: str) -> bool:
+    """Return whether an address or a name means this machine alone; other names are not looked up."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False

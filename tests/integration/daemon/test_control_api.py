@@ -99,6 +99,14 @@ def test_a_person_halts_steps_and_goes_on_from_the_command_line(cell):
         with cell.world.controller(daemon.address, seed=1) as controller:
             assert controller.run("SlabCell", max_wall_s=LIMIT_S).status == "done"
         assert daemon.client.get("/v1/jobs/current")["job"]["slots"]["laid"] == [0, 1, 2, 3, 4]
+        refused = cell.slabcell("job", "abandon")
+        assert (refused.returncode, "no job is open" in refused.stderr) == (1, True), refused.stderr
+        cell.world.strew(12)
+        assert cell.slabcell("cell", "stop").returncode == cell.slabcell("cell", "step").returncode == 0
+        with cell.world.controller(daemon.address, seed=1) as controller:
+            assert controller.run("SlabCell", max_wall_s=LIMIT_S).status == "halted"
+        assert "job 2 is abandoned" in cell.slabcell("job", "abandon").stdout
+        assert daemon.client.get("/v1/jobs/2")["job"]["state"] == "abandoned"
 
 
 def test_a_lost_camera_is_an_alarm_that_a_person_sees_and_that_goes_when_it_is_back(cell):

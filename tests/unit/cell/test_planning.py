@@ -118,11 +118,14 @@ def test_a_part_that_looks_alike_after_a_turn_is_laid_as_it_lies():
     assert moved.shape.symmetric_difference(slot.shape).area < 1e-6
 
 
-@pytest.mark.parametrize(("pick", "place"), [((900, 0, 0), (20, 20)), ((50, 40, 0), (900, 0))])
-def test_what_is_out_of_reach_is_refused_with_the_distance(pick, place):
+@pytest.mark.parametrize(
+    ("pick", "place", "end"), [((900, 0, 0), (20, 20), "pick: "), ((50, 40, 0), (900, 0), "place: ")]
+)
+def test_what_is_out_of_reach_is_refused_with_the_distance(pick, place, end):
     (refused,) = plan([part(pick=pick, place=place)]).refused
     assert refused.fault is Fault.UNREACHABLE
     assert "mm from the A2 axis" in refused.detail
+    assert refused.detail.startswith(end)
 
 
 def test_a_grasp_point_outside_of_the_pick_area_is_refused():
