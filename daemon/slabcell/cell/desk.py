@@ -130,12 +130,14 @@ class JobDesk:
         """Begin a session and settle what was under way; return its number and what came out."""
         job_id = self.job.job_id if self.job is not None else None
 
-        def work(book: LedgerFile) -> tuple[int, Settlement]:
+        def work(book: LedgerFile) -> tuple[int, Settlement, list[OfferRecord]]:
             with book.step():
                 session = book.new_session(f"HELLO {request.sequence}")
-                return session, settle(book, job_id, request, session)
+                outcome = settle(book, job_id, request, session)
+            return session, outcome, book.offers(job_id) if job_id is not None else []
 
-        session, outcome = await self._write(work)
+        session, outcome, offers = await self._write(work)
+        self._known = {offer.result_id: offer for offer in offers}  # so that the trigger need not read them
         for offer in outcome.moved:
             self._emit(ResultMoved(offer))
         if self.job is not None and self.job.state is not JobState.OPEN:
@@ -270,12 +272,14 @@ class JobDesk:
         if job is None or not any(offer.state in _NOT_BEGUN for offer in await self.offers()):
             return
 
-        def work(book: LedgerFile) -> list[OfferRecord]:
-            taken_back = set(book.void(job.job_id, session=session, reason=reason))
-            return [offer for offer in book.offers(job.job_id) if offer.result_id in taken_back]
+        def work(book: LedgerFile) -> tuple[set[int], list[OfferRecord]]:
+            return set(book.void(job.job_id, session=session, reason=reason)), book.offers(job.job_id)
 
-        for offer in await self._write(work):
-            self._emit(ResultMoved(offer))
+        taken_back, offers = await self._write(work)
+        self._known = {offer.result_id: offer for offer in offers}
+        for offer in offers:
+            if offer.result_id in taken_back:
+                self._emit(ResultMoved(offer))
 
     async def complete(self, placements: tuple[PlacementRecord, ...]) -> Job | None:
         """Close the job with what was measured of it."""

@@ -1,4 +1,7 @@
-"""Who is told what happens?  Turns the cell's events into lines of the event ring and of the history."""
+"""Who is told what happens?  Turns the cell's events into items of the event ring and lines of the history.
+
+Events come while the robot waits: what they say is put into words when somebody reads them.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import json
 from typing import Any
 
 from slabcell.cell import events
+from slabcell.cell.records import OfferRecord
 from slabcell.service.api.ring import EventRing
 from slabcell.service.api.views import cycle_view, link_view, offer_view, placement_view
 from slabcell.service.frames import FrameStore
@@ -44,8 +48,8 @@ class EventFeed:
         self._frames = frames
 
     def add(self, kind: str, content: dict[str, Any]) -> None:
-        """Add an event of the service itself."""
-        self._ring.add(kind, json.dumps(content, allow_nan=False))
+        """Add an event of the service itself; its content must not change any more."""
+        self._ring.add(kind, lambda: json.dumps(content, allow_nan=False))
 
     def link_changed(self, link: Link) -> None:
         """Tell of a link's new state."""
@@ -69,9 +73,9 @@ class EventFeed:
             case events.StageEnded(stage, duration_ms):
                 self.add("stage", {"stage": stage, "duration_ms": round(duration_ms, 3)})
             case events.Offered(offer):
-                self.add("offer", {"job": offer.job_id, **offer_view(offer).model_dump(mode="json")})
+                self._ring.add("offer", lambda: _offer_json(offer))
             case events.ResultMoved(offer):
-                self.add("result", {"job": offer.job_id, **offer_view(offer).model_dump(mode="json")})
+                self._ring.add("result", lambda: _offer_json(offer))
             case events.Verified(job, placements, final):
                 found = [placement_view(item).model_dump(mode="json") for item in placements]
                 self.add("verified", {"job": job.job_id, "final": final, "placements": found})
@@ -96,3 +100,7 @@ class EventFeed:
             CycleRow(cycle.number, cycle.job_id, cycle.verification, cycle.code, cycle.began_utc, document)
         )
         self._ring.add("cycle", document)
+
+
+def _offer_json(offer: OfferRecord) -> str:
+    return json.dumps({"job": offer.job_id, **offer_view(offer).model_dump(mode="json")}, allow_nan=False)

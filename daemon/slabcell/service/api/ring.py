@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import islice
 
@@ -17,13 +18,20 @@ KEPT = 1000
 MAX_PAGE = 100
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True, eq=False)
 class Item:
-    """One event: its number, counted from 1 since the start, its kind, and its content as one line of JSON."""
+    """One event: its number, counted from 1 since the start, its kind, and its content, or what makes it."""
 
     number: int
     kind: str
-    data: str
+    content: str | Callable[[], str]
+
+    @property
+    def data(self) -> str:
+        """The content as one line of JSON; made when it is read first, which it often never is."""
+        if not isinstance(self.content, str):
+            self.content = self.content()
+        return self.content
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +62,13 @@ class EventRing:
         """Whether the daemon ends: nothing follows any more."""
         return self._closed
 
-    def add(self, kind: str, data: str) -> None:
-        """Add an event, and wake who waits; called in the event loop."""
+    def add(self, kind: str, content: str | Callable[[], str]) -> None:
+        """Add an event, and wake who waits; called in the event loop.
+
+        ``content`` is one line of JSON, or what makes it of things that do not change.
+        """
         self._last += 1
-        self._items.append(Item(self._last, kind, data))
+        self._items.append(Item(self._last, kind, content))
         self._wake()
 
     def close(self) -> None:

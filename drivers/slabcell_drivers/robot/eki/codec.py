@@ -22,6 +22,7 @@ from xml.parsers import expat
 
 from slabcell_drivers.robot.eki.framing import MAX_TELEGRAM_BYTES
 from slabcell_drivers.robot.eki.schema import (
+    CHECK_NODE,
     EMPTY_TEXT,
     HEARTBEAT_ROOT,
     MAX_TEXT_CHARS,
@@ -47,7 +48,6 @@ __all__ = [
     "encode_request",
 ]
 
-CHECK_NODE = "Check"
 SUM_TOLERANCE = 0.01
 """KRL adds with 24 bits of mantissa: twelve values of a metre, in mm, are off by less than a hundredth."""
 MAX_DEPTH = 8
@@ -56,6 +56,10 @@ MAX_NUMBER_CHARS = 40
 MAX_INT = 2**31 - 1
 HEARTBEAT = f"<{HEARTBEAT_ROOT}></{HEARTBEAT_ROOT}>".encode("ascii")
 """The cell's answer to a heartbeat: an element without a type, which only sets its flag and fills no memory."""
+
+_INTS, _REALS = f"{CHECK_NODE}/@Ints", f"{CHECK_NODE}/@Reals"
+_SUMMED = {item.root: (item.summed(ElementType.INT), item.summed(ElementType.REAL)) for item in (ROBOT, VIS)}
+"""Paths of what is added up in each telegram."""
 
 _INT = re.compile(r"[+-]?[0-9]{1,10}", re.ASCII)
 _REAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?", re.ASCII)
@@ -205,10 +209,11 @@ def _write(telegram: Telegram, values: Mapping[str, Value]) -> bytes:
 
 def _sums(telegram: Telegram, values: Mapping[str, Value]) -> dict[str, int | float]:
     """Return ``Check``: the sums over the values as they are on the wire, with three decimals."""
-    others = [element for element in telegram.elements if element.node != CHECK_NODE]
-    ints = sum(_int(values, element.path) for element in others if element.type is ElementType.INT)
-    reals = [_real(values, element.path) for element in others if element.type is ElementType.REAL]
-    return {f"{CHECK_NODE}/@Ints": ints, f"{CHECK_NODE}/@Reals": sum(round(value, 3) for value in reals)}
+    ints, reals = _SUMMED[telegram.root]
+    return {
+        _INTS: sum([_int(values, path) for path in ints]),
+        _REALS: sum([round(_real(values, path), 3) for path in reals]),
+    }
 
 
 def _text(element: Element, value: Value) -> str:
@@ -278,7 +283,7 @@ def _read_checked(telegram: Telegram, raw: bytes, *, required: tuple[str, ...]) 
 
 
 def _check_sums(telegram: Telegram, values: Mapping[str, Value]) -> None:
-    if f"{CHECK_NODE}/@Ints" not in values and values.get("Head/@Type") != RequestType.HEARTBEAT:
+    if _INTS not in values and values.get("Head/@Type") != RequestType.HEARTBEAT:
         raise MalformedTelegramError(f"{telegram.root} telegram: {CHECK_NODE}/@Ints is missing")
     for path, expected in _sums(telegram, values).items():
         if path in values and abs(float(values[path]) - expected) > SUM_TOLERANCE:
@@ -290,27 +295,31 @@ def _check_sums(telegram: Telegram, values: Mapping[str, Value]) -> None:
 def _sums_up(texts: Mapping[str, str]) -> bool:
     """Whether a telegram of another version arrived as it was sent; its INTs are what is written like one."""
     ints = {path: int(text) for path, text in texts.items() if "@" in path and _INT.fullmatch(text.strip())}
-    expected = ints.pop(f"{CHECK_NODE}/@Ints", None)
+    expected = ints.pop(_INTS, None)
     return expected == sum(ints.values())
 
 
 def _value(element: Element, text: str) -> Value:
-    shown = f"{element.path} = {text[:MAX_NUMBER_CHARS]!r}"
-    if element.type is ElementType.STRING:
+    kind = element.type
+    if kind is ElementType.STRING:
         if len(text) > MAX_TEXT_CHARS:
-            raise ValueError(f"{shown}…: {len(text)} characters; the limit is {MAX_TEXT_CHARS}")
+            raise ValueError(f"{_shown(element, text)}…: {len(text)} characters; the limit is {MAX_TEXT_CHARS}")
         return text
     if len(text) > MAX_NUMBER_CHARS:
-        raise ValueError(f"{shown}…: no number is that long")
-    if element.type is ElementType.REAL:
-        if not _REAL.fullmatch(text) or abs(float(text)) > MAX_REAL:
-            raise ValueError(f"{shown}: not a number between +-{MAX_REAL:g}")
-        return float(text)
-    if element.type is ElementType.BOOL and text.lower() in _BOOL:
+        raise ValueError(f"{_shown(element, text)}…: no number is that long")
+    if kind is ElementType.REAL:
+        if not _REAL.fullmatch(text) or abs(real := float(text)) > MAX_REAL:
+            raise ValueError(f"{_shown(element, text)}: not a number between +-{MAX_REAL:g}")
+        return real
+    if kind is ElementType.BOOL and text.lower() in _BOOL:
         return _BOOL[text.lower()]
-    if not _INT.fullmatch(text) or abs(int(text)) > MAX_INT:
-        raise ValueError(f"{shown}: not a whole number between +-{MAX_INT}")
-    return int(text)
+    if not _INT.fullmatch(text) or abs(number := int(text)) > MAX_INT:
+        raise ValueError(f"{_shown(element, text)}: not a whole number between +-{MAX_INT}")
+    return number
+
+
+def _shown(element: Element, text: str) -> str:
+    return f"{element.path} = {text[:MAX_NUMBER_CHARS]!r}"
 
 
 class _Collector:

@@ -14,7 +14,7 @@ Sources: KUKA.EthernetKRL 2.2 manual (19.12.2012), chapters "Configuration" and 
 of ros-industrial/kuka_experimental and of the rc_visard EKI bridge.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 from slabcell_drivers.robot.message import MAX_MESSAGE_CHARS
@@ -22,6 +22,7 @@ from slabcell_drivers.robot.message import MAX_MESSAGE_CHARS
 __all__ = [
     "ATTRIBUTES_OF_FRAME",
     "CHANNEL",
+    "CHECK_NODE",
     "EMPTY_TEXT",
     "HEARTBEAT_ROOT",
     "MAX_TEXT_CHARS",
@@ -41,6 +42,7 @@ MAX_TEXT_CHARS = MAX_MESSAGE_CHARS
 EMPTY_TEXT = "-"
 """Stands for "no text": EKI's behaviour with a string of no characters is not documented."""
 HEARTBEAT_ROOT = "VisHb"
+CHECK_NODE = "Check"
 ATTRIBUTES_OF_FRAME = ("X", "Y", "Z", "A", "B", "C")
 
 
@@ -61,11 +63,11 @@ class Element:
     attribute: str
     type: ElementType
     meaning: str
+    path: str = field(init=False)
+    """The path below the root, as EKI writes it: ``Head/@Seq`` or ``Msg``."""
 
-    @property
-    def path(self) -> str:
-        """The path below the root, as EKI writes it: ``Head/@Seq`` or ``Msg``."""
-        return f"{self.node}/@{self.attribute}" if self.attribute else self.node
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "path", f"{self.node}/@{self.attribute}" if self.attribute else self.node)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,11 +89,15 @@ class Telegram:
 
     root: str
     nodes: tuple[Node, ...]
+    elements: tuple[Element, ...] = field(init=False)
+    """Every value of the telegram."""
 
-    @property
-    def elements(self) -> tuple[Element, ...]:
-        """Every value of the telegram."""
-        return tuple(element for node in self.nodes for element in node.elements)
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "elements", tuple(element for node in self.nodes for element in node.elements))
+
+    def summed(self, kind: ElementType) -> tuple[str, ...]:
+        """Return the paths of the values of one type that ``Check`` holds the sum of."""
+        return tuple(item.path for item in self.elements if item.type is kind and item.node != CHECK_NODE)
 
     def path(self, element: Element) -> str:
         """Return the full path of an element: ``Robot/Head/@Seq``."""
