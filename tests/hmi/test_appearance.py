@@ -66,7 +66,7 @@ def test_every_page_fits_every_screen(
             for width, height in SIZES:
                 page.set_viewport_size({"width": width, "height": height})
                 page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
-                name = path.strip("/").replace("/", "-") or "overview"
+                name = re.sub("[^a-z]+", "-", path.strip("/")) or "overview"
                 page.screenshot(path=folder / f"{name}-{width}x{height}-{colours}-{language}.png")
                 beyond = page.evaluate(
                     "() => [document.documentElement, document.querySelector('main')]"

@@ -51,7 +51,7 @@ def test_a_new_calibration_is_made_step_by_step_and_is_in_use_in_the_end(
 ) -> None:
     with window(browser, hmi, "engineer") as page:
         page.goto("/calibrate")
-        expect(page.locator("#views .advice")).to_contain_text("0 views: take 10 more")
+        expect(page.locator("#views .advice")).to_contain_text("Views so far: 0. Take 10 more")
         for number in range(2):
             page.get_by_role("button", name="Hold it otherwise").click()
             expect(page.locator("#simulated")).to_contain_text(f"held up, {number + 1}")
@@ -98,7 +98,7 @@ def test_hand_and_eye_with_the_robots_pose_at_each_view(cell: Cell, hmi: Server,
         expect(page.locator("#views .count")).to_have_text("1")
         collect(cell, "flange", range(1, 7))
         page.reload()
-        expect(page.locator("#views .advice")).to_contain_text("7 views: take 8 more")
+        expect(page.locator("#views .advice")).to_contain_text("Views so far: 7. Take 8 more")
         expect(page.locator("#views")).to_contain_text("Poses turn by")
         computed(page)
         expect(page.locator("#result .facts")).to_contain_text("Table in the base")

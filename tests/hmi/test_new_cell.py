@@ -32,7 +32,7 @@ def test_every_page_works_without_a_calibration_and_the_doctor_leads_to_the_wiza
         assert "there is no calibration yet" in client.get("/").text
         for path in ("/run", "/tune", "/calibrate", "/calibrate?kind=plane", "/calibrate/history", "/calibrate/drift"):
             assert client.get(path).status == 200, path
-        assert "take 10 more" in client.get("/calibrate/views?kind=camera").text
+        assert "Take 10 more" in client.get("/calibrate/views?kind=camera").text
         findings = client.get("/doctor/findings").text
         assert "there is no calibration: " in findings
         assert 'href="/calibrate"' in findings

@@ -32,7 +32,7 @@ def test_an_overlap_is_drawn_at_its_place_and_found_by_click_and_key(hmi: Server
     with window(browser, hmi, "engineer") as page:
         page.goto("/templates")
         expect(page.locator("svg.pattern .slot").first).to_be_visible(timeout=PATIENCE_MS)
-        page.get_by_label("File, CSV or DXF").set_input_files(
+        page.get_by_label("Choose a file, CSV or DXF").set_input_files(
             {"name": "two.csv", "mimeType": "text/csv", "buffer": OVERLAP.encode()}
         )
         page.get_by_role("button", name="Check", exact=True).click()
@@ -75,7 +75,7 @@ def test_a_drawing_is_kept_as_a_recipe_and_laid_by_the_next_job(cell: Cell, hmi:
     with window(browser, hmi, "engineer", calm=False) as page:  # a job may be open: what is refused is an error, too
         page.goto("/templates")
         file = {"name": "north roof.dxf", "mimeType": "image/vnd.dxf", "buffer": stream.getvalue().encode()}
-        page.get_by_label("File, CSV or DXF").set_input_files(file)
+        page.get_by_label("Choose a file, CSV or DXF").set_input_files(file)
         page.get_by_role("button", name="Check", exact=True).click()
         expect(page.locator(".list-of-findings")).to_contain_text("names no unit", timeout=PATIENCE_MS)
         page.get_by_label("Unit of a drawing").select_option("cm")
@@ -115,6 +115,35 @@ def sent(client: Client, content: bytes, **headers: str) -> int:
     return client.ask(
         "POST", "/templates/check", content, {**fixed, "Content-Type": "application/octet-stream", **headers}
     ).status
+
+
+def rectangles(count: int, decimals: int) -> str:
+    """Return a template of so many slabs, with so many decimals."""
+    cells = ((80.0 * (n % 50), 60.0 * (n // 50)) for n in range(count))
+    slabs = ([(x, y), (x + 70, y), (x + 70 - n % 40, y + 50), (x, y + 50)] for n, (x, y) in enumerate(cells))
+    return "".join(",".join(f"{value:.{decimals}f}" for point in slab for value in point) + "\n" for slab in slabs)
+
+
+def test_a_large_template_is_kept_and_one_that_is_too_large_says_what_to_do(
+    cell: Cell, hmi: Server, browser: Browser
+) -> None:
+    large = rectangles(100, 800)
+    assert 500 << 10 < len(large) < 2 << 20
+    client = hmi.client("engineer")
+    form = {"csv": large, "base": "dresden", "name": "large", "thickness_mm": "8", "others": "[]"}
+    assert client.post("/templates/save", form).status == 200
+    assert len(cell.api.get("/v1/recipes/large/template")["slots"]) == 100
+    fixed = {"Origin": client.base, "X-Slabcell-Form": client.form, "Content-Type": "application/octet-stream"}
+    shown = client.ask("POST", "/templates/check?file=a.csv&recipe=dresden", rectangles(100, 2700).encode(), fixed)
+    assert 'id="cannot-keep"' in shown.text
+    assert "at most 2048 KiB are kept" in shown.text
+    with window(browser, hmi, "engineer") as page:
+        page.goto("/templates")
+        file = {"name": "far too large.csv", "mimeType": "text/csv", "buffer": b"0" * (8 << 20 | 1)}
+        page.get_by_label("Choose a file, CSV or DXF").set_input_files(file)
+        expect(page.locator("#file-name")).to_have_text("far too large.csv · 8193 KiB")
+        page.get_by_role("button", name="Check", exact=True).click()
+        expect(page.locator(".message.failed")).to_contain_text("larger than 8 MiB")
 
 
 def test_what_is_sent_is_bounded_and_never_believed(hmi: Server, tmp_path: Path) -> None:

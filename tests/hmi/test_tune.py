@@ -466,3 +466,27 @@ def test_an_operator_does_not_tune(hmi: Server) -> None:
     client = hmi.client("operator")
     assert client.get("/tune").status == 403
     assert 'href="/tune"' not in client.get("/").text
+
+
+def test_the_tables_fold_away_so_that_a_small_screen_has_room_for_the_picture(hmi: Server, browser: Browser) -> None:
+    with window(browser, hmi, "engineer") as page:
+        page.set_viewport_size({"width": 1024, "height": 600})
+        page.goto("/tune")
+        fold, view = page.locator("#fold"), page.locator("slab-picture .view")
+        expect(fold).to_have_attribute("aria-expanded", "false")
+        expect(page.locator("#results")).to_be_hidden()
+        alone = view.bounding_box()
+        assert alone is not None
+        assert alone["height"] >= 290, "a picture of 1.6 to 1 fills the width that it has"
+        page.locator("#tab-histogram").focus()
+        page.keyboard.press("Enter")
+        expect(page.locator("#histogram")).to_be_visible()
+        expect(fold).to_have_attribute("aria-expanded", "true")
+        beside = view.bounding_box()
+        assert beside is not None
+        assert beside["height"] < alone["height"]
+        fold.focus()
+        page.keyboard.press("Space")
+        expect(page.locator("#histogram")).to_be_hidden()
+        page.set_viewport_size({"width": 1366, "height": 768})
+        expect(page.locator("#histogram")).to_be_visible()

@@ -20,6 +20,8 @@ class DrawnSlot:
     points: str
     x: float
     y: float
+    text: float
+    """Height of its number in the drawing, mm: as large as others, but where it would be larger than its slot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,12 +52,19 @@ def draw_template(
             state_of.get(number, "free"),
             " ".join(f"{x:.2f},{-y:.2f}" for x, y in polygon),
             *_middle(polygon),
+            round(max(size / 70, min(size / 14, _span(polygon, 0) / 2.4, _span(polygon, 1) / 1.3)), 2),
         )
         for number, polygon in enumerate(polygons)
     ]
     return Drawing(
         " ".join(f"{value:.2f}" for value in box), round(size / 14, 2), round(size / 30, 2), tuple(drawn), label
     )
+
+
+def _span(polygon: Sequence[Sequence[float]], axis: int) -> float:
+    """Return how wide (0) or high (1) a polygon is."""
+    values = [point[axis] for point in polygon]
+    return max(values) - min(values)
 
 
 def _middle(polygon: Sequence[Sequence[float]]) -> tuple[float, float]:

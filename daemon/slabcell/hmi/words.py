@@ -67,7 +67,7 @@ class Words:
         """Return a number with its unit; what was not measured is a dash."""
         if value is None or value != value:  # noqa: PLR0124 - only NaN differs from itself
             return "–"
-        text = f"{value:{'+' if sign else ''}.{digits}f}"
+        text = f"{value:{'+' if sign else ''}z.{digits}f}"
         if self.language == "de":
             text = text.replace(".", ",")
         text = text.replace("-", "−")

@@ -22,6 +22,7 @@ PLACES: Final = ("held", "table", "flange", "away")
 PLACE_OF: Final = {"camera": "held", "plane": "table", "hand-eye": "flange"}
 BOARD: Final = "checkerboard:12x9:25"
 TEXT_BYTES: Final = 12 << 10
+SURVEY_TIMEOUT_S: Final = 60.0
 
 
 def kind_of(visit: Visit) -> str:
@@ -95,7 +96,7 @@ async def _collected(visit: Visit, *, survey: bool = True) -> dict[str, Any]:
     if not survey:
         return values
     try:
-        found = values["survey"] = await api.get("/v1/calibration/survey", kind=kind)
+        found = values["survey"] = await api.get("/v1/calibration/survey", timeout_s=SURVEY_TIMEOUT_S, kind=kind)
     except SlabcellError:  # the bench stands still while the cell works: the page asks again
         return values
     values["advice"] = [_said(visit, item) for item in found["advice"]]

@@ -13,6 +13,7 @@ from urllib.parse import quote, urlencode
 
 from starlette.responses import Response
 
+from slabcell.errors import TemporaryError, UnavailableError
 from slabcell.hmi.cell_api import Json
 from slabcell.hmi.pages.templates.pattern import draw_pattern
 from slabcell.hmi.route import HmiRoute, Page, get
@@ -23,9 +24,10 @@ __all__ = ["PAGE"]
 
 UNITS: Final = ("mm", "cm", "dm", "m", "in", "ft")
 FILE_BYTES: Final = 8 << 20
-SAVE_BYTES: Final = 2 << 20
+CSV_CHARACTERS: Final = 2 << 20
+"""As many as the daemon keeps of a template that comes with parameters."""
+SAVE_BYTES: Final = 3 * CSV_CHARACTERS + (64 << 10)
 """Of a form that carries a template: commas take three bytes each in it."""
-CSV_CHARACTERS: Final = 512 << 10
 BENCH_S: Final = 90.0
 """The daemon's bench works beside the cell at the lowest priority: on a busy computer that takes its time."""
 
@@ -37,7 +39,7 @@ async def _recipes(visit: Visit) -> list[Json]:
 async def _page(visit: Visit) -> Response:
     recipes = await _recipes(visit)
     shown = visit.text("recipe") or next((item["name"] for item in recipes if item["active"]), "")
-    return visit.page("templates.html", recipes=recipes, shown=shown, units=UNITS)
+    return visit.page("templates.html", recipes=recipes, shown=shown, units=UNITS, most_bytes=FILE_BYTES)
 
 
 async def _shelf(visit: Visit) -> Response:
@@ -47,7 +49,11 @@ async def _shelf(visit: Visit) -> Response:
 async def _view(visit: Visit) -> Response:
     recipes = await _recipes(visit)
     name = visit.text("recipe") or next((item["name"] for item in recipes if item["active"]), "")
-    found = await visit.hmi.api.get(f"/v1/recipes/{quote(name, safe='')}/template", timeout_s=BENCH_S)
+    try:
+        path = f"/v1/recipes/{quote(name, safe='')}/template"
+        found = await visit.hmi.api.get(path, timeout_s=BENCH_S)
+    except (TemporaryError, UnavailableError):  # the bench waits for the cell: the page asks again
+        return visit.fragment("waiting.html", shown=name)
     entry = next((item for item in recipes if item["name"] == name), None)
     return _shown(visit, found, title=name, entry=entry)
 
@@ -68,7 +74,7 @@ async def _check(visit: Visit) -> Response:
     usual = known["template"]["thickness_mm"] if known else 10.0
     usual, others = _thickness([slot["thickness_mm"] for slot in found["slots"]], usual)
     new = {"csv": csv, "base": base, "name": _recipe_name(file), "thickness_mm": usual, "others": json.dumps(others)}
-    return _shown(visit, found, title=file, new=new if found["usable"] and len(csv) <= CSV_CHARACTERS else None)
+    return _shown(visit, found, title=file, new=new if found["usable"] else None)
 
 
 def _thickness(said: list[float | None], usual: float) -> tuple[float, list[Json]]:
@@ -92,7 +98,9 @@ def _shown(
     visit: Visit, found: Json, *, title: str, entry: Json | None = None, new: dict[str, Any] | None = None
 ) -> Response:
     pattern = draw_pattern(visit.words, found)
-    return visit.fragment("view.html", found=found, pattern=pattern, title=title, entry=entry, new=new)
+    return visit.fragment(
+        "view.html", found=found, pattern=pattern, title=title, entry=entry, new=new, most_characters=CSV_CHARACTERS
+    )
 
 
 async def _save(visit: Visit) -> Response:

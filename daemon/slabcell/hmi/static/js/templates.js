@@ -55,6 +55,11 @@ view.addEventListener("htmx:beforeSwap", (event) => {
 });
 
 const form = /** @type {HTMLFormElement | null} */ (document.getElementById("send"));
+form?.addEventListener("change", (event) => {
+  const file = event.target instanceof HTMLInputElement ? event.target.files?.[0] : undefined;
+  const name = document.getElementById("file-name");
+  if (name && file) name.textContent = `${file.name} · ${Math.ceil(file.size / 1024)} KiB`;
+});
 form?.addEventListener("submit", (event) => {
   event.preventDefault();
   void send(form);
@@ -68,6 +73,10 @@ async function send(from) {
   const fields = new FormData(from);
   const file = fields.get("file");
   if (!(file instanceof File)) return;
+  if (file.size > Number(from.dataset.most)) {
+    say("failed", from.dataset.tooLarge ?? "");
+    return;
+  }
   const query = new URLSearchParams({ file: file.name.slice(-100) });
   for (const name of ["unit", "layers", "recipe"]) query.set(name, String(fields.get(name) ?? ""));
   const button = /** @type {HTMLButtonElement} */ (from.querySelector("button"));

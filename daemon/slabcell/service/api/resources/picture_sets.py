@@ -19,7 +19,7 @@ from slabcell.service.api.problems import ProblemError
 from slabcell.service.api.resources.recipes import recipes_of
 from slabcell.service.api.resources.tasks import TaskDocument, task_view
 from slabcell.service.api.resources.vision import (
-    PARAMETER_BYTES,
+    CANDIDATE_BYTES,
     PREVIEW_TIMEOUT_S,
     CandidateBody,
     chosen_picture,
@@ -212,7 +212,7 @@ ENDPOINTS = (
         *("POST", "/v1/vision/run", "Run the vision on many pictures, in the background", _run),
         *(TaskDocument, _TAG),
         body=RunBody,
-        body_bytes=3 * PARAMETER_BYTES,
+        body_bytes=CANDIDATE_BYTES,
         problems=(404, 503),
         kept=False,
     ),

@@ -17,7 +17,7 @@ from slabcell.service.api.problems import ProblemError
 from slabcell.service.api.resources.cycles import cycle_row
 from slabcell.service.api.resources.recipes import GRADING_TIMEOUT_S, grading_arguments, known_path, recipes_of
 from slabcell.service.api.resources.tasks import TaskDocument, task_view
-from slabcell.service.api.resources.vision import PARAMETER_BYTES, CandidateBody, ParametersBody, candidate_of
+from slabcell.service.api.resources.vision import CANDIDATE_BYTES, CandidateBody, ParametersBody, candidate_of
 from slabcell.service.bench.wire import Json
 from slabcell.service.recipe_difference import differences
 from slabcell.service.recipe_schema import unit_of
@@ -125,14 +125,14 @@ ENDPOINTS = (
         *("POST", "/v1/recipes/{name}/versions", "Save parameters as a new version; it is not active yet", _save),
         *(SavedDocument, _TAG),
         body=SaveBody,
-        body_bytes=3 * PARAMETER_BYTES,
+        body_bytes=CANDIDATE_BYTES,
         problems=(404,),
     ),
     Endpoint(
         *("POST", "/v1/recipes/compare", "Say in what parameters differ from those of the active recipe", _compare),
         *(DifferenceDocument, _TAG),
         body=CandidateBody,
-        body_bytes=3 * PARAMETER_BYTES,
+        body_bytes=CANDIDATE_BYTES,
         problems=(404,),
         kept=False,
     ),

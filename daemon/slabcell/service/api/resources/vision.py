@@ -25,9 +25,10 @@ from slabcell.service.pictures import MAX_UPLOAD_BYTES, NoSuchPictureError, Pict
 from slabcell.service.studio import Preview
 
 __all__ = [
+    "CANDIDATE_BYTES",
     "ENDPOINTS",
-    "PARAMETER_BYTES",
     "PREVIEW_TIMEOUT_S",
+    "TEMPLATE_CHARACTERS",
     "CandidateBody",
     "ParametersBody",
     "candidate_of",
@@ -37,6 +38,10 @@ __all__ = [
 ]
 
 PARAMETER_BYTES: Final = 512 << 10
+TEMPLATE_CHARACTERS: Final = 2 << 20
+"""As many as the most slots that a template may have take with twenty corners each, to a hundredth of a millimetre."""
+CANDIDATE_BYTES: Final = 3 * PARAMETER_BYTES + TEMPLATE_CHARACTERS + (64 << 10)
+"""What a request with such a recipe may carry: a template's line ends take a byte more each in JSON."""
 PREVIEW_TIMEOUT_S: Final = 30.0
 
 
@@ -49,7 +54,7 @@ class ParametersBody(Body):
     parameters: dict[str, Any] | None = Field(
         default=None, description="or as an object, as in the recipe's schema; template.file need not be given"
     )
-    template_csv: Annotated[str, Field(max_length=PARAMETER_BYTES)] | None = Field(
+    template_csv: Annotated[str, Field(max_length=TEMPLATE_CHARACTERS)] | None = Field(
         default=None, description="another template, as CSV; none: that of the base"
     )
 
@@ -208,7 +213,7 @@ ENDPOINTS = (
         *("POST", "/v1/vision/preview", "Run the vision on a picture, with parameters that are not active", _preview),
         *(PreviewDocument, _TAG),
         body=PreviewBody,
-        body_bytes=3 * PARAMETER_BYTES,
+        body_bytes=CANDIDATE_BYTES,
         problems=(404, 503),
         kept=False,
     ),

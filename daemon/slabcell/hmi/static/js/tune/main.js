@@ -42,7 +42,7 @@ startForm(draft, (field, room) => {
   roi.tools(room);
 });
 startChanges(draft, (name) => void begin(name));
-startTabs(at("tabs"));
+startTabs(at("tabs"), at("fold"), at("tune"));
 
 /**
  * Run the vision on the picture that is chosen; one run at a time.

@@ -1,12 +1,21 @@
 // @ts-check
-// Which panel is shown?  Tabs by mouse and by arrow keys, as WAI-ARIA has them.
+// Which panel is shown, and is any?  Tabs by mouse and by arrow keys, as WAI-ARIA has them; all of them fold away.
+
+const SMALL = window.matchMedia("(max-height: 700px)");
 
 /**
- * Let the tabs of a list choose their panels.
+ * Let the tabs of a list choose their panels, and a button fold these away so that the picture is larger.
+ * On a small screen they are folded until a tab is chosen.
  * @param {HTMLElement} list
+ * @param {HTMLElement} fold
+ * @param {HTMLElement} room has the class "folded" while no panel is shown
  */
-export function startTabs(list) {
+export function startTabs(list, fold, room) {
   const tabs = /** @type {HTMLElement[]} */ ([...list.querySelectorAll('[role="tab"]')]);
+  const unfold = (/** @type {boolean} */ open) => {
+    room.classList.toggle("folded", !open);
+    fold.setAttribute("aria-expanded", String(open));
+  };
   const choose = (/** @type {HTMLElement} */ chosen) => {
     for (const tab of tabs) {
       const on = tab === chosen;
@@ -15,6 +24,7 @@ export function startTabs(list) {
       const panel = document.getElementById(tab.getAttribute("aria-controls") ?? "");
       if (panel) panel.hidden = !on;
     }
+    unfold(true);
   };
   for (const [index, tab] of tabs.entries()) {
     tab.addEventListener("click", () => choose(tab));
@@ -26,4 +36,7 @@ export function startTabs(list) {
       choose(next);
     });
   }
+  fold.addEventListener("click", () => unfold(fold.getAttribute("aria-expanded") !== "true"));
+  SMALL.addEventListener("change", () => unfold(!SMALL.matches));
+  unfold(!SMALL.matches);
 }
