@@ -8,6 +8,7 @@ import asyncio
 import dataclasses
 import socket
 from collections.abc import Callable
+from typing import Generic, TypeVar
 
 import structlog
 
@@ -20,23 +21,26 @@ HANDLER_FAILED_CODE = 1801
 """Entry of the error catalogue for "the cell itself failed while it answered"."""
 HANDLER_FAILED_TEXT = "slabcell: internal error, see the cell's log"
 
+Sent = TypeVar("Sent")
+"""What goes to the robot: an answer in the form of its link."""
+
 _log = structlog.get_logger(__name__)
 
 
-class Answering:
+class Answering(Generic[Sent]):
     """Asks the handler, one request after the other over all connections of a link.
 
     ``encode`` writes an answer as the link does, and raises ValueError for one that cannot be sent.
     """
 
-    def __init__(self, handler: Handler, encode: Callable[[Answer], object]) -> None:
+    def __init__(self, handler: Handler, encode: Callable[[Answer], Sent]) -> None:
         self._handler = handler
         self._encode = encode
         self._turn = asyncio.Lock()
-        self._tasks: set[asyncio.Task[Answer]] = set()
+        self._tasks: set[asyncio.Task[Sent]] = set()
 
-    async def answer(self, request: Request) -> Answer:
-        """Return what to send: the handler's answer, or an error number if it raises or cannot be sent."""
+    async def answer(self, request: Request) -> Sent:
+        """Return what to send: the handler's answer, encoded, or an error number if it raises or cannot be sent."""
         task = asyncio.get_running_loop().create_task(self._ask(request))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
@@ -46,19 +50,18 @@ class Answering:
         """Wait until no request is under way."""
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
-    async def _ask(self, request: Request) -> Answer:
+    async def _ask(self, request: Request) -> Sent:
         async with self._turn:
             try:
                 answer = await self._handler(request)
             except Exception:  # noqa: BLE001 - the robot must get an answer, whatever the cell's fault is
                 _log.exception("robot.handler_failed", request=request.type.name, sequence=request.sequence)
-                return _failure(request, HANDLER_FAILED_TEXT)
+                return self._encode(_failure(request, HANDLER_FAILED_TEXT))
             try:
-                self._encode(answer)
+                return self._encode(dataclasses.replace(answer, acknowledges=request.sequence))
             except ValueError as error:
                 _log.error("robot.answer_unsendable", request=request.type.name, error=str(error))
-                return _failure(request, printable(str(error)))
-        return dataclasses.replace(answer, acknowledges=request.sequence)
+                return self._encode(_failure(request, printable(str(error))))
 
 
 def _failure(request: Request, text: str) -> Answer:

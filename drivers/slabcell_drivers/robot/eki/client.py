@@ -73,7 +73,7 @@ class EkiClient:
         await task
         self._states.become(LinkState.CLOSED)
 
-    async def _keep_connected(self, answering: Answering) -> None:
+    async def _keep_connected(self, answering: Answering[bytes]) -> None:
         while not self._stopping.is_set():
             try:
                 reader, writer = await self._connect()
@@ -100,7 +100,9 @@ class EkiClient:
                 task.cancel()
             await asyncio.gather(connecting, stopping, return_exceptions=True)
 
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, answering: Answering) -> None:
+    async def _serve(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, answering: Answering[bytes]
+    ) -> None:
         notice_dead_peer(writer.get_extra_info("socket"))
         self._current = Connection(
             reader,

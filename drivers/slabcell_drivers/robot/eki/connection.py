@@ -41,7 +41,7 @@ class Connection:
         self,
         reader: asyncio.StreamReader,
         writer: asyncio.StreamWriter,
-        answer: Callable[[Request], Awaitable[Answer]],
+        answer: Callable[[Request], Awaitable[bytes]],
         *,
         heartbeat_timeout_s: float,
         on_telegram: TelegramHook | None = None,
@@ -153,8 +153,7 @@ class Connection:
     async def _work(self) -> None:
         while not self._end.done():
             request = await self._queue.get()
-            answer = await self._answer(request)
-            await self._send(encode_answer(answer))
+            await self._send(await self._answer(request))
 
     async def _send(self, telegram: bytes) -> None:
         if self._end.done():

@@ -51,7 +51,7 @@ class EkiServer:
         self._on_telegram = on_telegram
         self._states = LinkStates("eki", on_state)
         self._server: asyncio.Server | None = None
-        self._answering: Answering | None = None
+        self._answering: Answering[bytes] | None = None
         self._current: Connection | None = None
         self._current_host = ""
         self._tasks: set[asyncio.Task[None]] = set()

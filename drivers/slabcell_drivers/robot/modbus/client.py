@@ -178,7 +178,7 @@ class ModbusClient:
         self._stopping = asyncio.Event()
         self._task: asyncio.Task[None] | None = None
         self._exchange = Exchange(register_map)
-        self._answering: Answering | None = None
+        self._answering: Answering[Answer] | None = None
         self._pending: asyncio.Task[Answer] | None = None
         self._resumed = False
         self._life: list[int] = []
@@ -200,7 +200,7 @@ class ModbusClient:
         if self._task is not None:
             raise RuntimeError("the Modbus client is already started")
         self._stopping.clear()
-        self._answering = Answering(handler, lambda answer: encode_answer(self._map, answer, publication=0, toggle=0))
+        self._answering = Answering(handler, self._sendable)
         self._states.become(LinkState.LISTENING)
         self._task = asyncio.get_running_loop().create_task(self._keep_polling(), name="slabcell-modbus-client")
 
@@ -301,6 +301,11 @@ class ModbusClient:
         if self._pending.done():
             answer, self._pending = self._pending.result(), None
             await self._show(answer, words)
+
+    def _sendable(self, answer: Answer) -> Answer:
+        """Return an answer that the registers can hold.  Raises ValueError for another."""
+        encode_answer(self._map, answer, publication=0, toggle=0)
+        return answer
 
     async def _ask(self, request: Request) -> Answer:
         if self._answering is None:

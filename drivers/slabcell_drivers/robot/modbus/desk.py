@@ -53,7 +53,7 @@ class RequestDesk:
         self._gripper = gripper or NoGripper()
         self._on_telegram = on_telegram
         self._failed = failed
-        self._answering = Answering(handler, lambda answer: encode(image.map, answer))
+        self._answering = Answering(handler, self._sendable)
         self._work: set[asyncio.Task[None]] = set()
         self._ticking: asyncio.Task[None] | None = None
         self._watchdog = image.value(Area.PLC_LIFE, "watchdog")
@@ -112,6 +112,11 @@ class RequestDesk:
         task = asyncio.get_running_loop().create_task(self._answer(got), name="slabcell-modbus-request")
         self._work.add(task)
         task.add_done_callback(self._work.discard)
+
+    def _sendable(self, answer: Answer) -> Answer:
+        """Return an answer that the registers can hold.  Raises ValueError for another."""
+        encode(self.image.map, answer)
+        return answer
 
     async def _answer(self, request: Request) -> None:
         answer = await self._answering.answer(request)
