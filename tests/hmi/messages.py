@@ -29,7 +29,6 @@ ELSEWHERE: Final = {
     "cell/schema.py": "SQL",
     "cell/ledger_export.py": "the command line's",
     "cell/bundle.py": "faults of the programmer",
-    "cell/replay.py": "the command line's",
     "cell/asbuilt.py": "written into files",
     "service/api/openapi.py": "the API's description",
     "service/api/problems.py": "titles of problems; pages show their details",
@@ -43,7 +42,6 @@ ELSEWHERE: Final = {
     "service/demo_pictures.py": "the command line's",
     "service/doctor_checks.py": "titles, which the page Doctor has by number",
     "service/event_feed.py": "the API's description",
-    "service/history_file.py": "SQL",
     "service/install.py": "the command line's",
     "service/install_release.py": "the command line's",
     "service/metrics.py": "for Prometheus",
@@ -68,7 +66,9 @@ WRITTEN: Final = frozenset(
 )
 """What is written into files and headers, or to the robot and other devices."""
 _WORD: Final = re.compile(r"[A-Za-z]{3}|\bis\b")
-_SQL: Final = re.compile(r"\s*(SELECT|PRAGMA|CREATE|INSERT|UPDATE|DELETE)\b|.*\bWHERE\b|.* [<=] \?", re.DOTALL)
+_SQL: Final = re.compile(
+    r"\s*(SELECT|PRAGMA|CREATE|INSERT|UPDATE|DELETE)\b|.*\bWHERE\b|.* [<>=]+ (\?|\d+)\b|.* [<>=]+ \?$", re.DOTALL
+)
 _NAMED_PLACE: Final = re.compile(r"\{[a-z_0-9]+(?::[^}]*)?\}")
 
 

@@ -77,8 +77,8 @@ class _Shell:
         if is_known_host(self._hmi, Request(scope).headers):
             await self._app(scope, receive, with_headers)
             return
-        text = "This host name is not one of this HMI: add it to names in [hmi], or use the address.\n"
-        await PlainTextResponse(text, HTTPStatus.MISDIRECTED_REQUEST)(scope, receive, with_headers)
+        text = self._hmi.words_of({}, "base")("refused.host")
+        await PlainTextResponse(f"{text}\n", HTTPStatus.MISDIRECTED_REQUEST)(scope, receive, with_headers)
 
 
 def _route(hmi: Hmi, page: Page, route: HmiRoute) -> Route:
@@ -170,7 +170,7 @@ def _form(request: Request, raw: bytes) -> dict[str, str]:
     if not raw:
         return {}
     if _media_type(request) != "application/x-www-form-urlencoded":
-        raise Refusal(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "refused.media_type", wanted="a form")
+        raise Refusal(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "refused.no_form")
     try:
         fields = parse_qsl(
             raw.decode("utf-8"), keep_blank_values=True, strict_parsing=True, errors="strict", max_num_fields=MAX_FIELDS

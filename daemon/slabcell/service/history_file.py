@@ -227,7 +227,8 @@ class HistoryFile:
 
     def end_alarms(self, at_utc: str) -> None:
         """Write of every alarm that stood when the daemon ended that it went: those that stand still come anew."""
-        self._write("UPDATE alarms SET went_utc = ?, why = 'the daemon ended' WHERE went_utc IS NULL", (at_utc,))
+        why = "the daemon ended"
+        self._write("UPDATE alarms SET went_utc = ?, why = ? WHERE went_utc IS NULL", (at_utc, why))
 
     def alarms(self, *, before: int, limit: int) -> list[AlarmRow]:
         """Return a page of alarms, the newest first."""

@@ -115,7 +115,7 @@ def _said(visit: Visit, item: Json) -> str:
     names = {
         "places": [words.maybe(f"corner.{name.replace(' ', '_')}", name) for name in values.get("places", ())],
         "sides": [words.maybe(f"side.{name}", name) for name in values.get("sides", ())],
-        "views": values.get("views", ()),
+        "views": [words.said(name) for name in values.get("views", ())],
     }
     plain = {key: value for key, value in values.items() if key not in names}
     shown = {key: words.number(value, 0) if isinstance(value, float) else value for key, value in plain.items()}

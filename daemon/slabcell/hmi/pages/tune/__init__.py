@@ -5,7 +5,7 @@ from __future__ import annotations
 from starlette.responses import Response
 
 from slabcell.hmi.pages.tune import recipes, trying
-from slabcell.hmi.pages.tune.form import TABLES, form_document
+from slabcell.hmi.pages.tune.form import TABLES, form_document, form_fields, option_words
 from slabcell.hmi.pages.tune.stages import STAGES
 from slabcell.hmi.route import Page, get
 from slabcell.hmi.security.roles import Role
@@ -64,16 +64,19 @@ async def _page(visit: Visit) -> Response:
         "no_grasp",
         "filtered",
     )
+    language = visit.words.language
+    fields = [field for table in TABLES for field in form_fields(schema, table, language)]
     return visit.page(
         "tune.html",
-        form=form_document(schema, visit.words.language),
+        form=form_document(schema, language),
         recipes=[item for item in found if not item["problem"]],
         active=next((item["name"] for item in found if item["active"]), ""),
         stages=STAGES,
         tables=TABLES,
         buffers=BUFFERS,
         script_words={key: visit.words(key) for key in WORDS}
-        | {f"reason.{name}": visit.words(f"reason.{name}") for name in reasons},
+        | {f"reason.{name}": visit.words(f"reason.{name}") for name in reasons}
+        | {f"option.{name}": text for name, text in option_words(fields, language).items()},
     )
 
 

@@ -7,13 +7,15 @@ those of the schema; other languages have a table beside this file.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, Final, Literal, cast
 
-__all__ = ["TABLES", "Field", "field_words", "form_document", "form_fields", "keys_of"]
+from slabcell.hmi.messages import load_words
+
+__all__ = ["TABLES", "Field", "field_words", "form_document", "form_fields", "keys_of", "option_words"]
 
 TABLES: Final = ("template", "gates", "segmentation", "blobs", "matching", "grasp")
 LEFT_OUT: Final = frozenset({"template.file"})
@@ -52,9 +54,19 @@ class Field:
 
 @cache
 def field_words(language: str) -> Mapping[str, Mapping[str, str]]:
-    """Return ``label`` and ``help`` of parameters by their key; few in English, which the schema speaks itself."""
+    """Return ``label`` and ``help`` of parameters by their key; few in English, which the schema speaks itself.
+
+    Under ``options`` is what their choices are called.
+    """
     path = ROOM / f"parameters.{language}.toml"
     return tomllib.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+
+
+def option_words(fields: Iterable[Field], language: str) -> dict[str, str]:
+    """Return what the choices of fields are called, the name that recipes have for each behind it; none in English."""
+    known = {**load_words(language), **field_words(language).get("options", {})}
+    names = {name for field in fields for name in (*field.choices, *option_words(field.fields, language))}
+    return {name: f"{known[name]} ({name})" for name in sorted(names) if name in known}
 
 
 def form_document(schema: Json, language: str) -> list[Json]:

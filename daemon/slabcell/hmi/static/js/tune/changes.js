@@ -1,7 +1,7 @@
 // @ts-check
 // What would change, does it pass, and shall it be?  The way of a draft into the cell, and back.
 import { follow, post } from "./ask.js";
-import { at, element, enable, shown, word } from "./words.js";
+import { at, element, enable, labelOf, shown, word } from "./words.js";
 
 /** @typedef {import("./ask.js").Json} Json */
 
@@ -36,9 +36,9 @@ export function startChanges(draft, begin) {
     const rows = changes.map((/** @type {Json} */ item) => element(
       "tr",
       {},
-      element("td", {}, item.key),
-      element("td", { class: "number" }, shown(item.active, item.unit)),
-      element("td", { class: "number" }, shown(item.candidate, item.unit)),
+      element("td", {}, labelOf(item.key), " ", element("span", { class: "quiet small" }, item.key)),
+      element("td", { class: "number" }, shown(item.active, item.unit, item.key)),
+      element("td", { class: "number" }, shown(item.candidate, item.unit, item.key)),
       element("td", {}, back(item)),
     ));
     if (done.template_changed && changes.length) rows.unshift(element("tr", {}, element("td", { colspan: "4" }, word("template_changed"))));
@@ -49,7 +49,7 @@ export function startChanges(draft, begin) {
 
   /** @param {Json} item */
   function back(item) {
-    const button = element("button", { type: "button", class: "pick", "aria-label": `${item.key}: ${word("reset", { value: shown(item.active, item.unit) })}` }, "↺");
+    const button = element("button", { type: "button", class: "pick", "aria-label": `${labelOf(item.key)}: ${word("reset", { value: shown(item.active, item.unit, item.key) })}` }, "↺");
     button.addEventListener("click", () => draft.set(item.key, structuredClone(draft.get(item.key, draft.active.parameters) ?? null)));
     return button;
   }

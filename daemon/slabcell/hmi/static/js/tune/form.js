@@ -1,6 +1,6 @@
 // @ts-check
 // Which parameters are there to change?  A form of each table of the recipe, made from what the server says of its fields.
-import { at, element, enable, number, shown, word } from "./words.js";
+import { at, element, enable, number, optionOf, shown, word } from "./words.js";
 
 /** @typedef {import("./draft.js").Draft} Draft */
 /**
@@ -75,7 +75,7 @@ function mark(field, room, draft) {
   room.classList.toggle("is-changed", changed);
   const button = /** @type {HTMLButtonElement} */ (room.querySelector(":scope > .reset"));
   button.hidden = !changed;
-  button.textContent = word("reset", { value: shown(draft.get(field.key, draft.active.parameters), field.unit) });
+  button.textContent = word("reset", { value: shown(draft.get(field.key, draft.active.parameters), field.unit, field.key) });
 }
 
 /**
@@ -139,7 +139,7 @@ function simple(field, place, where) {
 /** @param {Field} field */
 function choice(field) {
   const names = field.optional ? ["", ...field.choices] : field.choices;
-  return element("select", {}, ...names.map((name) => element("option", { value: name }, name || word("unset"))));
+  return element("select", {}, ...names.map((name) => element("option", { value: name }, name ? optionOf(name) : word("unset"))));
 }
 
 /**

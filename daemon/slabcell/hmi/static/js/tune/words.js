@@ -30,21 +30,48 @@ export function number(value, digits, unit = "") {
   return unit === "°" ? written + unit : unit ? `${written}\u00a0${unit}` : written;
 }
 
+/** Labels of parameters by their keys. @type {Map<string, string>} */
+const labels = new Map();
+for (const { fields } of JSON.parse(root.dataset.form ?? "[]")) fields.forEach(learn);
+
+/** @param {{key: string, label: string, fields: any[]}} field */
+function learn({ key, label, fields }) {
+  labels.set(key, label);
+  fields.forEach(learn);
+}
+
+/**
+ * Return what a parameter is called, by its key.
+ * @param {string} key
+ */
+export function labelOf(key) {
+  return labels.get(key) ?? key;
+}
+
+/**
+ * Return what a choice of a parameter is called.
+ * @param {string} name as recipes have it
+ */
+export function optionOf(name) {
+  return table[`option.${name}`] ?? name;
+}
+
 /**
  * Return the value of a parameter as people read it.
  * @param {any} value
  * @param {string} [unit]
+ * @param {string} [key] of the parameter
  * @returns {string}
  */
-export function shown(value, unit = "") {
+export function shown(value, unit = "", key = "") {
   if (value === null || value === undefined) return word("unset");
   if (typeof value === "boolean") return word(value ? "yes" : "no");
   if (typeof value === "number") return number(value, undefined, unit);
   if (Array.isArray(value) && value.length === 0) return word("unset");
   if (Array.isArray(value) && Array.isArray(value[0])) return word("points", { count: value.length });
-  if (typeof value !== "object") return String(value);
+  if (typeof value !== "object") return optionOf(String(value));
   return Object.entries(value)
-    .map(([name, item]) => (Array.isArray(value) ? shown(item) : `${name} ${shown(item)}`))
+    .map(([name, item]) => (Array.isArray(value) ? shown(item, "", key) : `${labels.get(`${key}.${name}`) ?? name} ${shown(item)}`))
     .join(Array.isArray(value) ? " · " : " ");
 }
 
