@@ -17,6 +17,7 @@ from slabcell.catalogue import Clears, Entry, catalogue
 from slabcell.cell.reconcile import Decision, reconcile
 from slabcell.cell.records import STEPS, OfferState
 from slabcell.cell.states import TABLE, CellState, HeldCause, SuspendedCause
+from slabcell.hmi.pages import PAGES
 from slabcell.service.api.app import ENDPOINTS, description
 from slabcell.service.config import CellConfig, FrameConfig
 from slabcell.service.config_reload import is_reloadable
@@ -39,6 +40,7 @@ def pages() -> dict[Path, str]:
         DOCS / "reference" / "errors.md": errors_page(catalogue().values()),
         DOCS / "reference" / "exactly-once.md": exactly_once_page(),
         DOCS / "reference" / "faults.md": faults_page(),
+        DOCS / "reference" / "pages.md": actions_page(),
         architecture: _between_marks(architecture.read_text(encoding="utf-8"), "states", state_diagram()),
         control_api: _between_marks(control_api.read_text(encoding="utf-8"), "resources", resources_table()),
         configuration: _between_marks(configuration.read_text(encoding="utf-8"), "keys", config_table(CellConfig)),
@@ -156,6 +158,31 @@ def faults_page() -> str:
         numbers = ", ".join(str(number) for number in row["numbers"]) or "none"
         tests = "<br>".join(f"`{test}`" for test in row["tests"])
         lines.append(f"| {row['fault']} | {row['notices']} | {row['does']} | {numbers} | {tests} |")
+    return "\n".join([*lines, ""])
+
+
+def actions_page() -> str:
+    """Return the page that says how the control API and the command line do what the pages do."""
+    rows = tomllib.loads((DOCS / "reference" / "pages.toml").read_text(encoding="utf-8"))["row"]
+    least = {f"{route.method} {route.path}": route.role for page in PAGES for route in page.routes}
+    lines = [
+        "# What the pages do, by API and command",
+        "",
+        NOTE.strip(),
+        "",
+        "Everything that a page of the [HMI](../how-to/hmi.md) does, the [control API](control-api.md) and the command",
+        "line do too. The rows stand in `pages.toml`; a test holds them against the routes of the pages, the requests",
+        "in their code, and the verbs of the command. *Role* is the least that may do it on the pages.",
+        "",
+        "| page | what | role | control API | command |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for row in rows:
+        roles = sorted({role for route in row["routes"] if (role := least[route]) is not None})
+        said = ", ".join(role.word for role in roles) or "none"
+        api = "<br>".join(f"`{request}`" for request in row["api"]) or "none: it is the pages' own"
+        commands = "<br>".join(f"`slabcell {command}`" for command in row["commands"])
+        lines.append(f"| {row['page']} | {row['does']} | {said} | {api} | {commands} |")
     return "\n".join([*lines, ""])
 
 

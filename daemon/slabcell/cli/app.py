@@ -22,6 +22,7 @@ VERBS: Final[dict[str, tuple[str, str, str]]] = {
     "hmi": ("slabcell.cli.hmi", "hmi_app", "Serve the web pages of the cell, and keep their users."),
     "status": ("slabcell.cli.status", "status_command", "Show how the running cell is."),
     "job": ("slabcell.cli.job", "job_app", "Show jobs, and what became of their slabs."),
+    "cycle": ("slabcell.cli.cycle", "cycle_app", "Show cycles, their pictures, and how slabs were measured to lie."),
     "alarms": ("slabcell.cli.alarms", "alarms_app", "Show alarms, and acknowledge or shelve them."),
     "trigger": ("slabcell.cli.trigger", "trigger_command", "Have the running cell take a picture, and offer nothing."),
     "verify": ("slabcell.cli.trigger", "verify_command", "Have the running cell measure how the slabs lie."),

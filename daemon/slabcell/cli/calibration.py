@@ -53,9 +53,13 @@ def list_command(socket: Socket = None, *, as_json: AsJson = False) -> None:
 
 
 @calibration_app.command("show")
-def show_command(socket: Socket = None) -> None:
-    """Print the calibration in use, as its file is."""
-    typer.echo(json.dumps(client(socket).get("/v1/calibration")["calibration"], indent=1))
+def show_command(
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="Which one; none: the one in use.")] = None,
+    socket: Socket = None,
+) -> None:
+    """Print a calibration, as its file is."""
+    path = "/v1/calibration" if name is None else f"/v1/calibrations/{quote(name, safe='')}"
+    typer.echo(json.dumps(client(socket).get(path)["calibration"], indent=1))
 
 
 @calibration_app.command("upload")
@@ -232,6 +236,24 @@ def checks_command(
             "" if drift is None else f"{drift['worst_mm']:.3f}",
         )
     make_console().print(table)
+
+
+@calibration_app.command("robot")
+def robot_command(socket: Socket = None, *, as_json: AsJson = False) -> None:
+    """Print where the robot says that its flange is: X Y Z in mm, A B C in degrees, in its base."""
+    document = client(socket).get("/v1/calibration/robot-pose")
+    if as_json:
+        print_json(document)
+    else:
+        typer.echo(",".join(f"{value:.3f}" for value in document["pose"]))
+
+
+@calibration_app.command("remove")
+def remove_command(
+    view: Annotated[int, typer.Argument(metavar="VIEW", help="Its number.")], socket: Socket = None
+) -> None:
+    """Forget one view."""
+    typer.echo(client(socket).post(f"/v1/calibration/views/{view}/remove")["detail"])
 
 
 @calibration_app.command("clear")

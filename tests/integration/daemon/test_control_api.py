@@ -70,6 +70,24 @@ def test_a_job_is_seen_from_its_first_event_to_its_last_slab(cell):
         assert "5 of 5 slots are laid" in shown.stdout, shown.stderr
         listed = json.loads(cell.slabcell("job", "list", "--json").stdout)
         assert [item["job"] for item in listed["jobs"]] == [1]
+        listed = cell.slabcell("cycle", "list", "--job", "1")
+        assert "measured, 5 of 5 lie" in listed.stdout, listed.stderr
+        assert json.loads(cell.slabcell("cycle", "list", "--failed", "--json").stdout)["cycles"] == []
+        assert "slot 0: pick" in cell.slabcell("cycle", "show", str(cycles[1]["cycle"])).stdout
+        measured = cell.slabcell("cycle", "placements", "--slot", "3").stdout.splitlines()
+        assert measured[0].startswith("at,job,slot,found,dx_mm")
+        assert len(measured) == 2
+        out = cell.folder / "saved"
+        for words in (
+            ("save", cycles[1]["cycle"], out / "frame.png", "--file", "frame.png"),
+            ("picture", out / "now.png"),
+            ("save", cycles[1]["cycle"], out / "cycle.zip"),
+        ):
+            saved = cell.slabcell("cycle", *map(str, words))
+            assert saved.returncode == 0, saved.stderr
+        assert (out / "frame.png").read_bytes().startswith(b"\x89PNG")
+        assert (out / "now.png").read_bytes().startswith(b"\x89PNG")
+        assert (out / "cycle.zip").read_bytes().startswith(b"PK")
         assert daemon.stop() == 0
         listener.join(LIMIT_S)
         assert not listener.is_alive()

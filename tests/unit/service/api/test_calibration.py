@@ -320,7 +320,7 @@ async def test_the_commands_do_the_same(api, client, tmp_path):
             CliRunner().invoke, calibration_app, [*map(str, words), "--socket", str(tmp_path / "api.sock")]
         )
         assert ran.exit_code == code, (ran.output, ran.exception)
-        return ran.stdout.strip().splitlines()[-1]
+        return "".join(ran.stdout.strip().splitlines()[-1:])
 
     file = tmp_path / "board.png"
     for rotation, translation in TILTED[:4]:
@@ -337,6 +337,9 @@ async def test_the_commands_do_the_same(api, client, tmp_path):
     assert "is in use" in await slabcell("activate", plane)
     assert json.loads(await slabcell("list", "--json"))["calibrations"][0]["name"] == plane
     assert "}" in await slabcell("show")
+    assert "}" in await slabcell("show", plane)
+    assert "view 4" in await slabcell("remove", 4)
+    await slabcell("robot", code=1)  # it has said nothing
     assert "points on the table move by" in await slabcell("compare", plane, CONFIGURED)
     for how in (["--fixed"], ["--fixed", "--json"]):
         await slabcell("check", "--board", BOARD, "--picture", file, "--limit-mm", 0.2, *how, code=1)  # it is tilted
