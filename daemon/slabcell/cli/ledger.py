@@ -105,12 +105,22 @@ def export(
 def restore_command(
     source: Annotated[Path, typer.Argument(metavar="EXPORT", help="JSON file of an export.")], ledger: Where = None
 ) -> None:
-    """Make a ledger of an export.  A ledger that is there is set aside, not deleted.  Stop the service first."""
+    """Make a ledger of an export.  A ledger that is there is set aside, not deleted.  Stop the service first.
+
+    Refused while a daemon runs: it would go on writing to the one that was set aside.
+    """
     document = read_export(source)
     path = _path(ledger)
-    if path.exists():
-        typer.echo(f"set aside: {set_aside(path, now=datetime.now(UTC))}")
-    restore(path, document, str(source))
+    with InstanceLock(path.parent):
+        restored = path.with_name(f"{path.name}.restored")  # the one that is there stays until this one is whole
+        restored.unlink(missing_ok=True)
+        restore(restored, document, str(source))
+        if os.geteuid() == 0:  # the daemon is not root, and has to write to it
+            owner = path.parent.stat()
+            os.chown(restored, owner.st_uid, owner.st_gid)
+        if path.exists():
+            typer.echo(f"set aside: {set_aside(path, now=datetime.now(UTC))}")
+        restored.replace(path)
     typer.echo(str(path))
 
 

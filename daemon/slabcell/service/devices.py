@@ -66,8 +66,12 @@ class InstanceLock:
         self._file: int | None = None
 
     def __enter__(self) -> Self:
-        """Take the lock.  Raises TemporaryError if another process holds it."""
-        self._file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o640)
+        """Take the lock.  Raises TemporaryError if another process holds it, UnavailableError if it cannot write."""
+        try:
+            self._file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o640)
+        except OSError as error:
+            msg = f"{self._path}: cannot be written: {error.strerror}; the daemon has to write into state_directory"
+            raise UnavailableError(msg) from error
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:

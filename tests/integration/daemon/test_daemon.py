@@ -1,5 +1,6 @@
 """The daemon as systemd and the robot see it: a process, a real camera driver, the shipped robot programs."""
 
+import json
 import signal
 import socket
 from pathlib import Path
@@ -58,6 +59,36 @@ def test_a_second_instance_is_told_to_try_later_and_names_the_first(cell) -> Non
         second = cell.run()
         assert second.returncode == 75
         assert f"process {daemon.process.pid}" in second.stderr
+
+
+def test_a_ledger_is_restored_by_a_whole_export_and_not_under_a_running_daemon(cell, tmp_path) -> None:
+    ledger, good, bad = cell.folder / "state" / "ledger.sqlite", tmp_path / "good.json", tmp_path / "bad.json"
+
+    def restore(source):
+        return cell.slabcell("ledger", "restore", str(source), "--ledger", str(ledger))
+
+    with cell.daemon() as daemon:
+        assert cell.slabcell("ledger", "export", str(good), "--ledger", str(ledger)).returncode == 0
+        running = restore(good)
+        assert (running.returncode, f"process {daemon.process.pid}" in running.stderr) == (75, True)
+        assert daemon.stop() == 0
+    before = ledger.read_bytes()
+    document = json.loads(good.read_text())
+    bad.write_text(json.dumps({**document, "tables": {**document["tables"], "jobs": [{"job_id": "one"}]}}))
+    assert "nothing was restored" in restore(bad).stderr
+    assert ledger.read_bytes() == before
+    done = restore(good)
+    assert (done.returncode, "set aside: " in done.stdout) == (0, True)
+    assert len(list(ledger.parent.glob("ledger.sqlite.corrupt.*"))) == 1
+    assert cell.slabcell("ledger", "show", "--ledger", str(ledger)).returncode == 0
+
+
+def test_a_state_directory_that_cannot_be_written_is_named(cell) -> None:
+    (cell.folder / "state" / "lock").mkdir(parents=True)  # root may write to what is read-only for others
+    done = cell.run()
+    assert done.returncode == 69
+    assert "the daemon has to write into state_directory" in done.stderr
+    assert "internal error" not in done.stderr
 
 
 def test_an_address_that_is_taken_is_named(cell) -> None:
