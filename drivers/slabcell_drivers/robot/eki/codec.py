@@ -15,7 +15,6 @@ A telegram with a value that cannot be read, or whose sums do not agree, was dam
 because nothing in it can be trusted.
 """
 
-import math
 import re
 from collections.abc import Mapping
 from xml.parsers import expat
@@ -57,6 +56,7 @@ MAX_INT = 2**31 - 1
 HEARTBEAT = f"<{HEARTBEAT_ROOT}></{HEARTBEAT_ROOT}>".encode("ascii")
 """The cell's answer to a heartbeat: an element without a type, which only sets its flag and fills no memory."""
 
+_PATHS = {item.root: tuple(element.path for element in item.elements) for item in (ROBOT, VIS)}
 _INTS, _REALS = f"{CHECK_NODE}/@Ints", f"{CHECK_NODE}/@Reals"
 _SUMMED = {item.root: (item.summed(ElementType.INT), item.summed(ElementType.REAL)) for item in (ROBOT, VIS)}
 """Paths of what is added up in each telegram."""
@@ -194,17 +194,26 @@ def decode_answer(telegram: bytes) -> Answer:
 
 def _write(telegram: Telegram, values: Mapping[str, Value]) -> bytes:
     values = {**values, **_sums(telegram, values)}
+    texts = [_text(element, values[element.path]) for element in telegram.elements]
+    return (_FORMS[telegram.root] % tuple(texts)).encode("ascii")
+
+
+def _form(telegram: Telegram, value: str, end: str) -> str:
+    """Return a telegram as we write it, with ``value`` in the place of each value and ``end`` after each start tag."""
     parts = [f"<{telegram.root}>"]
     for node in telegram.nodes:
-        attributes = "".join(
-            f' {element.attribute}="{_text(element, values[element.path])}"'
-            for element in node.elements
-            if element.attribute
-        )
-        body = "".join(_text(element, values[element.path]) for element in node.elements if not element.attribute)
-        parts.append(f"<{node.name}{attributes}>{body}</{node.name}>")
+        attributes = "".join(f' {element.attribute}="{value}"' for element in node.elements if element.attribute)
+        if all(element.attribute for element in node.elements):
+            parts.append(f"<{node.name}{attributes}{end.format(node.name)}")
+        else:
+            parts.append(f"<{node.name}{attributes}>{value}</{node.name}>")
     parts.append(f"</{telegram.root}>")
-    return "".join(parts).encode("ascii")
+    return "".join(parts)
+
+
+_FORMS = {item.root: _form(item, "%s", "></{}>") for item in (ROBOT, VIS)}
+_PLAIN = {item.root: re.compile(_form(item, "([ !#-%'-;=?-~]*)", "(?:/>|></{}>)")) for item in (ROBOT, VIS)}
+"""What reads like a telegram of our own, printable and with nothing that XML would have to resolve."""
 
 
 def _sums(telegram: Telegram, values: Mapping[str, Value]) -> dict[str, int | float]:
@@ -217,19 +226,18 @@ def _sums(telegram: Telegram, values: Mapping[str, Value]) -> dict[str, int | fl
 
 
 def _text(element: Element, value: Value) -> str:
-    match element.type:
-        case ElementType.INT | ElementType.BOOL:
-            number = int(value)
-            if abs(number) > MAX_INT:
-                raise InvalidTelegramError(f"{element.path} = {number}: KRL's INT ends at +-{MAX_INT}")
-            return str(number)
-        case ElementType.REAL:
-            real = float(value)
-            if not math.isfinite(real) or abs(real) > MAX_REAL:
-                raise InvalidTelegramError(f"{element.path} = {real}: not a number between +-{MAX_REAL:g}")
-            return f"{real:.3f}" if abs(real) >= 0.0005 else "0.000"  # never "-0.000"
-        case ElementType.STRING:
-            return str(value).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    kind = element.type
+    if kind is ElementType.REAL:
+        real = float(value)
+        if not abs(real) <= MAX_REAL:  # nor is what is not a number
+            raise InvalidTelegramError(f"{element.path} = {real}: not a number between +-{MAX_REAL:g}")
+        return f"{real:.3f}" if abs(real) >= 0.0005 else "0.000"  # never "-0.000"
+    if kind is ElementType.STRING:
+        return str(value).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    number = int(value)
+    if abs(number) > MAX_INT:
+        raise InvalidTelegramError(f"{element.path} = {number}: KRL's INT ends at +-{MAX_INT}")
+    return str(number)
 
 
 def _frame_values(node: str, frame: Frame) -> dict[str, Value]:
@@ -356,6 +364,14 @@ class _Collector:
 def _parse(root: str, raw: bytes) -> dict[str, str]:
     if len(raw) > MAX_TELEGRAM_BYTES:
         raise MalformedTelegramError(f"a telegram of {len(raw)} bytes; the limit is {MAX_TELEGRAM_BYTES}")
+    plain = _PLAIN[root].fullmatch(raw.decode("latin-1"))
+    if plain is not None:  # what both ends send: no need to ask an XML parser
+        return dict(zip(_PATHS[root], plain.groups(), strict=True))
+    return _parse_xml(root, raw)
+
+
+def _parse_xml(root: str, raw: bytes) -> dict[str, str]:
+    """Return the texts of any XML by path."""
     collector = _Collector(root)
     parser = expat.ParserCreate("US-ASCII")  # whatever a declaration says
     parser.buffer_text = True
