@@ -9,6 +9,7 @@ what may stand in the way has to be a forbidden zone.
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
@@ -106,13 +107,16 @@ class Planner:
         picks = dict(zip(possible, descents, strict=True))
         pairs: list[Pair] = []
         wrist_deg: float | None = None
+        usual: int | None = None  # the arm stays in the configuration that reaches the first slab, where it can
         done = set(laid)
         for slot in self._order.order(possible, laid, after):
             if after and not done.issuperset(after.get(slot, ())):
                 continue  # what had to come before it could not be reached: said below
             try:
                 if self._straight:
-                    pair, wrist_deg = self._pair(possible[slot], picks[slot], wrist_deg, correction_mm)
+                    at_pick = self._descend(picks[slot], "pick", usual)
+                    usual = self._arm.status_turn(at_pick)[0] if usual is None else usual
+                    pair, wrist_deg = self._pair(possible[slot], at_pick, wrist_deg, correction_mm, usual)
                 else:
                     pair = self._first_reached(possible[slot], correction_mm)
             except ArmError as error:
@@ -146,11 +150,10 @@ class Planner:
                 del possible[item.slot]
 
     def _pair(
-        self, part: LocatedPart, pick: Descent, wrist_deg: float | None, correction_mm: tuple[float, float]
+        self, part: LocatedPart, at_pick: Axes, wrist_deg: float | None, correction_mm: tuple[float, float], usual: int
     ) -> tuple[Pair, float]:
         """Return the poses of one part, and where A6 stands after it was laid.  Raises ArmError."""
-        at_pick = self._descend(pick, "pick")
-        reached = self._places_reached(self._alike(part, correction_mm), self._recipe.height_mm(part.slot))
+        reached = self._places_reached(self._alike(part, correction_mm), self._recipe.height_mm(part.slot), usual)
         limits = self._arm.axis_min_deg[5], self._arm.axis_max_deg[5]
         a6 = [a6 for a6, _ in reached]
         way, turn, last = least_turn(at_pick[5], a6, self._turns_deg, limits, wrist_deg)
@@ -160,7 +163,7 @@ class Planner:
         pair = Pair(part.slot, _down(part.pick, turn_deg, height_mm), place, part.score)
         return pair, last
 
-    def _places_reached(self, places: list[PlanarPose], height_mm: float) -> list[tuple[float, PlanarPose]]:
+    def _places_reached(self, places: list[PlanarPose], height_mm: float, usual: int) -> list[tuple[float, PlanarPose]]:
         """Return the ways to lay a part that the arm reaches, each with A6; raises ArmError if there is none."""
         found: list[tuple[float, PlanarPose]] = []
         problem: ArmError | None = None
@@ -170,7 +173,7 @@ class Planner:
                 found.append((found[0][0] + place.a_deg - found[0][1].a_deg, place))
                 continue
             try:
-                found.append((self._place_axes(place, height_mm)[5], place))
+                found.append((self._place_axes(place, height_mm, usual)[5], place))
             except ArmError as error:
                 problem = problem or error
         if problem is not None and not found:
@@ -184,8 +187,8 @@ class Planner:
         for turn, place in product(self._few_turns_deg, self._alike(part, correction_mm)):
             (way,) = self._descents(self._pick_base, [_turned(part.pick, turn)], [height_mm])
             try:
-                self._descend(way, "pick")
-                self._place_axes(_turned(place, turn), height_mm)
+                self._descend(way, "pick", None)
+                self._place_axes(_turned(place, turn), height_mm, None)
             except ArmError as error:
                 problem = problem or error
                 continue
@@ -225,16 +228,20 @@ class Planner:
         above[:, :3, 3] += self._settings.approach_mm * base[:3, 2]  # straight up in the base, which may be tilted
         return [(_pose(over), _pose(target)) for over, target in zip(above.tolist(), at.tolist(), strict=True)]
 
-    def _at_place(self, place: PlanarPose, height_mm: float) -> Axes:
+    def _at_place(self, place: PlanarPose, height_mm: float, usual: int | None) -> Axes:
         (way,) = self._descents(self._place_base, [place], [height_mm])
-        return self._descend(way, "place")
+        return self._descend(way, "place", usual)
 
-    def _descend(self, way: Descent, end: str) -> Axes:
-        """Return the axes at a pose; raises ArmError unless the arm gets straight down to it in one configuration.
+    def _descend(self, way: Descent, end: str, usual: int | None) -> Axes:
+        """Return the axes at a pose, in the ``usual`` configuration if that gets there.
 
-        The error says at which ``end`` of the slab's way that is, pick or place.
+        Raises ArmError unless the arm gets straight down to it in one configuration.  The error says at which ``end``
+        of the slab's way that is, pick or place.
         """
         above, at = way
+        if usual is not None:
+            with suppress(ArmError):  # another one may get there
+                return self._arm.inverse(at, near=self._arm.inverse(above, status=usual), status=usual)
         try:
             axes = self._arm.inverse(above)
             status, _ = self._arm.status_turn(axes)

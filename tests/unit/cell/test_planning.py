@@ -74,6 +74,30 @@ def test_the_arm_reaches_every_planned_pose_from_above_in_one_configuration(tool
             assert np.allclose((KR3_R540.forward(at) @ tool).matrix, (base @ pose).matrix, atol=1e-6)
 
 
+class Asked:
+    """An arm that notes which configurations it is asked for."""
+
+    def __init__(self, arm):
+        self.arm, self.statuses = arm, []
+
+    def __getattr__(self, name):
+        return getattr(self.arm, name)
+
+    def inverse(self, pose, **known):
+        self.statuses.append(known.get("status"))
+        return self.arm.inverse(pose, **known)
+
+
+def test_the_arm_stays_in_the_configuration_that_reaches_the_first_slab():
+    arm = Asked(KR3_R540)
+    parts = [part(i, (20.0 * i, 30.0 * i, 50.0 * i), (100.0 * i + 15.0, 15.0)) for i in range(3)]
+    slots = tuple(square(100.0 * index, 0) for index in range(3))
+    recipe = Recipe.from_template(Template("squares", slots, "0" * 64), 10.0)
+    assert len(Planner(recipe, SETTINGS, arm).plan(parts).pairs) == 3
+    assert arm.statuses[0] is None
+    assert set(arm.statuses[1:]) == {2}
+
+
 def wrist_travel(settings, pairs):
     """Follow the arm through all poses; return how far A6 has turned."""
     axes, travel = None, 0.0
