@@ -18,6 +18,7 @@ ROOMS: Final = (
     *("daemon/slabcell/cell/*.py", "daemon/slabcell/service/**/*.py"),
     *("daemon/slabcell/recipe.py", "daemon/slabcell/toml_file.py", "daemon/slabcell/images.py"),
     *("daemon/slabcell/hmi/cell_api.py", "daemon/slabcell/hmi/link.py", "daemon/slabcell/hmi/security/store.py"),
+    *("daemon/slabcell/hmi/pages/account/*.py", "daemon/slabcell/hmi/pages/tune/recipes.py"),
     *("drivers/slabcell_drivers/camera/*.py", "drivers/slabcell_drivers/light/*.py"),
     *("drivers/slabcell_drivers/robot/arm.py", "drivers/slabcell_drivers/robot/link_events.py"),
     "drivers/slabcell_drivers/robot/eki/link.py",

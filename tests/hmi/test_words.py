@@ -9,10 +9,13 @@ import pytest
 
 from slabcell.catalogue import catalogue
 from slabcell.cell.records import OfferState
-from slabcell.cell.states import CellState
+from slabcell.cell.states import CellState, HeldCause
 from slabcell.errors import RecipeError
 from slabcell.hmi.messages import MAX_LENGTH, load_messages, load_words, translate
 from slabcell.recipe import BlobFeature, RecipeFile
+from slabcell.service.background import TaskState
+from slabcell.service.bench.tasks import TASKS
+from slabcell.service.links import LinkState
 from slabcell.toml_file import TomlTable, check
 from slabcell_drivers.camera.protocol import CameraState
 
@@ -65,12 +68,8 @@ def test_whatever_is_wrong_with_a_parameter_is_said_in_german(table: str) -> Non
 
 
 def test_words_that_stand_in_messages_by_themselves_are_known() -> None:
-    named = {
-        *map(str, CellState),
-        *map(str, OfferState),
-        *(state.value for state in CameraState),
-        *get_args(BlobFeature),
-    }
+    kinds = (CellState, OfferState, CameraState, HeldCause, LinkState, TaskState)
+    named = {*get_args(BlobFeature), *TASKS, *(str(word.value) for words in kinds for word in words)}
     assert named - load_words("de").keys() == set()
 
 
@@ -83,10 +82,10 @@ EXAMPLES = {
     "a text of a library {0}": "a text of a library {0}",
     # A message inside of another, and a word that would elsewhere be somebody's name.
     "nearest is slot 3: the outline is 0.6 mm off, the limit is 0.4 mm": (
-        "am n\u00e4chsten kommt Platz 3: der Umriss weicht um 0.6 mm ab, die Grenze ist 0.4 mm"
+        "am n\u00e4chsten kommt Platz 3: der Umriss weicht um 0,6 mm ab, die Grenze ist 0,4 mm"
     ),
     "roundness is 0.3, the recipe's filter wants at least 0.5": (
-        "Rundheit ist 0.3, der Filter des Rezepts verlangt mindestens 0.5"
+        "Rundheit ist 0,3, der Filter des Rezepts verlangt mindestens 0,5"
     ),
     "there is no recipe roundness in /a or /b": "Es gibt kein Rezept roundness in /a oder /b",
     # A value in which stands what stands between values.
@@ -94,15 +93,15 @@ EXAMPLES = {
         "slot 2: each of the 4 cups of 4 mm radius with its margin of 1 mm needs a free circle of 5.0 mm radius, the"
         " largest on this slab has 4.0 mm"
     ): (
-        "Platz 2: jeder der 4 Sauger mit 4 mm Radius und seinem Abstand von 1 mm braucht einen freien Kreis von 5.0 mm"
-        " Radius, der gr\u00f6\u00dfte auf dieser Platte hat 4.0 mm"
+        "Platz 2: jeder der 4 Sauger mit 4 mm Radius und seinem Abstand von 1 mm braucht einen freien Kreis von 5,0 mm"
+        " Radius, der gr\u00f6\u00dfte auf dieser Platte hat 4,0 mm"
     ),
     # Several messages in one go.
     (
         "otsu threshold 120 of 255, chosen because 1.0 % of the smaller population lies between the two; slabs are"
         " light; 3 specks left out"
     ): (
-        "Schwelle nach Otsu 120 von 255, gew\u00e4hlt, weil 1.0 % der kleineren Gruppe von Pixeln zwischen beiden"
+        "Schwelle nach Otsu 120 von 255, gew\u00e4hlt, weil 1,0 % der kleineren Gruppe von Pixeln zwischen beiden"
         " liegen; Platten sind hell; 3 kleine Flecken weggelassen"
     ),
     "/a:3: classes = 9: Input should be less than or equal to 5\n/a:4: unknown key 'x': did you mean 'y'?": (

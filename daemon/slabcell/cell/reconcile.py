@@ -56,7 +56,9 @@ _UNKNOWN = Fault.PLACEMENT_UNKNOWN
 
 def given_up(ledger: OfferState, robot: AckState, *, holds_part: bool) -> Decision:
     """Return the decision for a result that the robot did not carry through."""
-    why = {_A.PICK_FAILED: "pick failed", _A.UNREACHABLE: "unreachable for the robot"}.get(robot, "aborted")
+    why = {_A.PICK_FAILED: "pick failed", _A.UNREACHABLE: "unreachable for the robot"}.get(
+        robot, "aborted by the robot"
+    )
     if holds_part:
         return Decision(_O.FAILED, f"{why}; the gripper still holds a part", fault=Fault.GRIPPER_NOT_EMPTY)
     if ledger is _O.GRASPED:

@@ -35,6 +35,9 @@ WORDS: Final = "words"
 """The table of single words."""
 NOT_OURS: Final = ("libraries", "system", "shapes")
 """Tables of what pydantic and the operating system say, and of messages that are nothing but places."""
+DECIMAL_COMMA: Final = frozenset({"de"})
+"""Languages that write so the numbers of messages that have words; what a person wrote into a file stays as it is."""
+_NUMBER: Final = re.compile(r"[+-]?\d+\.\d+")
 _PLACE: Final = re.compile(r"\{(\d+)(:word)?\}")
 _WORD: Final = re.compile(r"[A-Za-z]+")
 _BETWEEN: Final = ("; ", ", ")
@@ -48,6 +51,7 @@ class _Template:
     literals: tuple[str, ...]
     places: tuple[str, ...]
     text: str
+    comma: bool
 
     @property
     def says(self) -> int:
@@ -137,7 +141,8 @@ def _templates(language: str) -> Mapping[str, tuple[_Template, ...]]:
     by_key: dict[str, list[_Template]] = {}
     for english, text in known.items():
         parts = re.split(r"\{(\d+)\}", english)
-        template = _Template(tuple(parts[::2]), tuple(parts[1::2]), text)
+        comma = language in DECIMAL_COMMA and text != english
+        template = _Template(tuple(parts[::2]), tuple(parts[1::2]), text, comma)
         by_key.setdefault(template.key, []).append(template)
     return {key: tuple(sorted(found, key=lambda item: -item.says)) for key, found in by_key.items()}
 
@@ -211,6 +216,8 @@ class _Reader:
         for place in _PLACE.finditer(template.text):
             value = values[place[1]]
             word = self._words.get(value) if place[2] else None
+            if template.comma and _NUMBER.fullmatch(value):
+                word = value.replace(".", ",")
             found = self.read(value, depth - 1) if word is None else _Reading(len(value), 0, 0, word)
             known, unknown, pieces = known + found.known, unknown + found.unknown, pieces + found.pieces
             text, at = text + template.text[at : place.start()] + found.text, place.end()

@@ -67,7 +67,7 @@ class Workbench:
         Raises TemporaryError when too many wait, BenchError, and what the task itself raises.
         """
         if self._closed or self._waiting >= MAX_WAITING:
-            what = "ends" if self._closed else f"has {self._waiting} tasks already"
+            what = "is ending" if self._closed else f"has {self._waiting} tasks already"
             msg = f"the bench {what}: ask again later"
             raise TemporaryError(msg)
         if self._idle is not None:
