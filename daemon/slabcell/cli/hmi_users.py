@@ -13,6 +13,7 @@ from typing import Annotated, TypeVar
 
 import typer
 from rich.table import Table
+from rich.text import Text
 
 from slabcell.cli.talk import make_console
 from slabcell.errors import UsageError
@@ -120,5 +121,11 @@ def audit_command(
         return
     table = Table("time", "user", "from", "action", "status", "outcome")
     for line in lines:
-        table.add_row(line.at_utc, line.user, line.address, line.action, str(line.status), line.outcome)
+        cells = (line.at_utc, line.user, line.address, line.action, str(line.status), line.outcome)
+        table.add_row(*map(_inert, cells))
     make_console().print(table)
+
+
+def _inert(text: str) -> Text:
+    """Return what a stranger may have written as text that does nothing to a terminal."""
+    return Text("".join(sign if sign.isprintable() else "\N{REPLACEMENT CHARACTER}" for sign in text))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import ssl
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -58,6 +59,7 @@ class Hmi:
     live: int = 0
     """Pages that are connected now."""
     stopping: asyncio.Event = field(default_factory=asyncio.Event)
+    tls: ssl.SSLContext | None = None
 
     def words_of(self, cookies: Mapping[str, str], page: str) -> PageWords:
         """Return the words of a page in the language that a person has chosen, else in that of this HMI."""

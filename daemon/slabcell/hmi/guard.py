@@ -63,7 +63,10 @@ def is_own_origin(hmi: Hmi, headers: Headers) -> bool:
     """Return whether a page of ours sent this, as browsers say it."""
     if headers.get("sec-fetch-site", "same-origin") != "same-origin":
         return False
-    origin = urlsplit(headers.get("origin", ""))
+    try:
+        origin = urlsplit(headers.get("origin", ""))
+    except ValueError:  # no browser says such a thing
+        return False
     return origin.scheme == ("https" if hmi.secure else "http") and origin.netloc.lower() == headers["host"].lower()
 
 

@@ -24,13 +24,14 @@ from slabcell.hmi.guard import cookie_name, is_known_host, is_own_origin
 from slabcell.hmi.link import Picture
 from slabcell.hmi.security.sessions import Session
 
-__all__ = ["live_endpoint"]
+__all__ = ["LOGIN_ENDED", "live_endpoint"]
 
 BEAT_S: Final = 1.0
 PAUSE_S: Final = 0.1
 """Changes of so long are told together."""
 STUCK_S: Final = 20.0
-CHECK_SESSION_EVERY_S: Final = 5.0
+LOGIN_ENDED: Final = "login-ended"
+"""The kind of change that wakes every open page, whose login is looked at before anything more is sent."""
 POLICY_VIOLATION: Final = 1008
 TRY_LATER: Final = 1013
 GOING_AWAY: Final = 1001
@@ -104,7 +105,7 @@ class _Seat:
                 self._wake.set()
 
     async def _send(self) -> None:
-        place, checked_s = self._link.place, time.monotonic()
+        place = self._link.place
         kinds: tuple[str, ...] = ()
         while True:
             await self._tell({"beat": self._link.up, "age_s": _age(self._link.age_s), "kinds": kinds})
@@ -113,10 +114,8 @@ class _Seat:
                 await self._show(picture)
             await asyncio.sleep(PAUSE_S)
             place, kinds = await self._next(place)
-            if time.monotonic() - checked_s > CHECK_SESSION_EVERY_S:
-                checked_s = time.monotonic()
-                if not await self._hmi.sessions.alive(self._session):
-                    return
+            if not await self._hmi.sessions.alive(self._session):
+                return
 
     async def _next(self, place: int) -> tuple[int, tuple[str, ...]]:
         """Return the new place and what changed, when it did, a picture was asked for, or a beat is due."""

@@ -4,30 +4,28 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
 import secrets
 import signal
 import socket
 import ssl
-from collections.abc import AsyncGenerator, Callable, Generator
+from collections.abc import AsyncGenerator, Callable
 from typing import Final
 
 import structlog
-import uvicorn
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from slabcell.errors import ConfigurationError, UnavailableError
 from slabcell.hmi.app import make_app
 from slabcell.hmi.context import Hmi, HmiOptions
 from slabcell.hmi.pages import PAGES
+from slabcell.http_server import HttpConnection, serving
 from slabcell.service.notify import notify
 
 __all__ = ["Opened", "run_hmi", "serve_hmi"]
 
 MAX_CONNECTIONS: Final = 200
-HEAD_BYTES: Final = 16 << 10
+MAX_OF_ONE_ADDRESS: Final = 100
+"""A browser opens six for files, and one for each page's live link."""
 KEEP_ALIVE_S: Final = 15
-STOP_TIMEOUT_S: Final = 2
 LIVE_MESSAGE_BYTES: Final = 1024
 FIRST_TOKEN_BYTES: Final = 9
 
@@ -38,19 +36,23 @@ _log = structlog.get_logger(__name__)
 
 
 async def run_hmi(options: HmiOptions, opened: Opened) -> None:
-    """Serve the pages until SIGTERM or SIGINT.  Raises ConfigurationError, UnavailableError."""
+    """Serve the pages until SIGTERM or SIGINT; SIGHUP renews the certificate.
+
+    Raises ConfigurationError, UnavailableError.
+    """
     stopping = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stopping.set)
     try:
         async with serve_hmi(options) as (hmi, address):
+            loop.add_signal_handler(signal.SIGHUP, _load_again, hmi)
             opened(address, hmi.first_token)
             notify(f"READY=1\nSTATUS=serving {address}")
             await stopping.wait()
             notify("STOPPING=1")
     finally:
-        for number in (signal.SIGTERM, signal.SIGINT):
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             loop.remove_signal_handler(number)
 
 
@@ -58,6 +60,7 @@ async def run_hmi(options: HmiOptions, opened: Opened) -> None:
 async def serve_hmi(options: HmiOptions) -> AsyncGenerator[tuple[Hmi, str]]:
     """Serve the pages until the end of the block; give the HMI and the address to open."""
     hmi = Hmi.of(options, PAGES)
+    hmi.tls = _tls(options)
     listening = _listen(options)
     async with contextlib.AsyncExitStack() as stack:
         stack.callback(listening.close)
@@ -67,7 +70,20 @@ async def serve_hmi(options: HmiOptions) -> AsyncGenerator[tuple[Hmi, str]]:
         if not await hmi.users.exist():
             hmi.first_token = secrets.token_urlsafe(FIRST_TOKEN_BYTES)
         await stack.enter_async_context(hmi.link.running())
-        await stack.enter_async_context(_serving(hmi, listening))
+        await stack.enter_async_context(
+            serving(
+                make_app(hmi),
+                listening,
+                connection=_Connection,
+                name="slabcell-hmi",
+                keep_alive_s=KEEP_ALIVE_S,
+                tls=hmi.tls,
+                ws="websockets-sansio",
+                ws_max_size=LIVE_MESSAGE_BYTES,
+                ws_per_message_deflate=False,
+            )
+        )
+        stack.callback(hmi.stopping.set)
         host, port = listening.getsockname()[:2]
         shown = f"[{host}]" if ":" in host else host
         address = f"{'https' if hmi.secure else 'http'}://{shown}:{port}/"
@@ -96,48 +112,46 @@ def _listen(options: HmiOptions) -> socket.socket:
     return server
 
 
-@contextlib.asynccontextmanager
-async def _serving(hmi: Hmi, listening: socket.socket) -> AsyncGenerator[None]:
-    logging.getLogger("uvicorn").setLevel(logging.ERROR)  # bad requests are the clients' business, not the journal's
-    options = hmi.options
-    config = uvicorn.Config(
-        make_app(hmi),
-        http=H11Protocol,
-        ws="websockets-sansio",
-        ws_max_size=LIVE_MESSAGE_BYTES,
-        ws_per_message_deflate=False,
-        lifespan="off",
-        log_config=None,
-        access_log=False,
-        server_header=False,
-        proxy_headers=False,
-        limit_concurrency=MAX_CONNECTIONS,
-        timeout_keep_alive=KEEP_ALIVE_S,
-        timeout_graceful_shutdown=STOP_TIMEOUT_S,
-        h11_max_incomplete_event_size=HEAD_BYTES,
-        ssl_certfile=options.certificate,
-        ssl_keyfile=options.private_key,
-    )
+class _Connection(HttpConnection):
+    """One browser's, or a stranger's."""
+
+    max_connections = MAX_CONNECTIONS
+    max_of_one_address = MAX_OF_ONE_ADDRESS
+
+
+def _tls(options: HmiOptions) -> ssl.SSLContext | None:
+    """Return what certificate and key make of a connection; None without.  Raises ConfigurationError."""
+    if options.certificate is None:
+        return None
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    _load(context, options)
+    return context
+
+
+def _load(context: ssl.SSLContext, options: HmiOptions) -> None:
+    """Read certificate and key, which connections have from now on.  Raises ConfigurationError."""
+    certificate, key = options.certificate or "", options.private_key
+
+    def no_password() -> str:  # else OpenSSL asks for one at the terminal
+        msg = "it asks for a password: store the key without one, readable by this user only"
+        raise ValueError(msg)
+
     try:
-        config.load()
-    except (OSError, ssl.SSLError) as error:
-        msg = f"[hmi] certificate {options.certificate}, private_key {options.private_key}: cannot be used: {error}"
+        for one in (ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER), context):  # tried first: both are used, or none
+            one.load_cert_chain(certificate, key, no_password)
+    except (OSError, ValueError) as error:
+        msg = f"[hmi] certificate {certificate}, private_key {key}: cannot be used: {error}"
         raise ConfigurationError(msg) from error
-    if config.ssl is not None:
-        config.ssl.minimum_version = ssl.TLSVersion.TLSv1_2
-    server = _Server(config)
-    serving = asyncio.create_task(server.serve(sockets=[listening]), name="slabcell-hmi")
+
+
+def _load_again(hmi: Hmi) -> None:
+    """Read certificate and key again, where there are any; what cannot be used leaves those that were."""
+    if hmi.tls is None:
+        return
     try:
-        yield
-    finally:
-        hmi.stopping.set()
-        server.should_exit = True
-        await serving
-
-
-class _Server(uvicorn.Server):
-    """Leaves the signals alone."""
-
-    @contextlib.contextmanager
-    def capture_signals(self) -> Generator[None]:
-        yield
+        _load(hmi.tls, hmi.options)
+    except ConfigurationError as error:
+        _log.error("certificate not renewed", problem=str(error))
+    else:
+        _log.info("certificate read again", certificate=str(hmi.options.certificate))

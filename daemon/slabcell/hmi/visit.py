@@ -7,7 +7,8 @@ import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from http import HTTPStatus
-from typing import Any
+from typing import Any, Final
+from urllib.parse import quote
 
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
@@ -22,6 +23,9 @@ from slabcell.hmi.security.users import User
 from slabcell.hmi.words import PageWords
 
 __all__ = ["Refusal", "Visit"]
+
+ADDRESS_SIGNS: Final = "/:?#[]@!$&'()*+,;=%"
+"""What stands for itself in an address (RFC 3986, section 2.2), and what is encoded already."""
 
 
 class Refusal(Exception):  # noqa: N818 - a refusal is no error of ours
@@ -128,7 +132,7 @@ class Visit:
     def go(self, path: str) -> Response:
         """Send the browser to another page of ours."""
         if self.wants_fragment:
-            return Response(status_code=HTTPStatus.OK, headers={"hx-redirect": path})
+            return Response(status_code=HTTPStatus.OK, headers={"hx-redirect": quote(path, safe=ADDRESS_SIGNS)})
         return RedirectResponse(path, HTTPStatus.SEE_OTHER)
 
     @property

@@ -8,10 +8,13 @@ from __future__ import annotations
 
 import asyncio
 import sqlite3
+import stat
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final, TypeVar
+
+import structlog
 
 from slabcell.errors import SlabcellError, UnavailableError
 
@@ -50,6 +53,8 @@ _SCHEMA: Final = (
 
 _T = TypeVar("_T")
 
+_log = structlog.get_logger(__name__)
+
 
 class Store:
     """The open file."""
@@ -70,6 +75,10 @@ class Store:
     def _open(self) -> None:
         self.path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
         self.path.touch(mode=0o600)
+        mode = stat.S_IMODE(self.path.stat().st_mode)
+        if mode & 0o077:
+            self.path.chmod(0o600)
+            _log.warning("file of users was open to others", path=str(self.path), mode=f"{mode:o}")
         db = sqlite3.connect(self.path, timeout=5.0, isolation_level=None, check_same_thread=False)
         try:
             _prepare(db)

@@ -91,38 +91,41 @@ class Users:
 
     async def set_role(self, name: str, role: Role) -> None:
         """Give somebody another role; logins end.  Raises UserError: one admin has to stay."""
-        await self._keep_an_admin(name, role)
-        await self._change(name, "UPDATE users SET role = ? WHERE name = ?", (role.word, name))
+        statement = "UPDATE users SET role = ? WHERE name = ?"
+        await self._change(name, statement, (role.word, name), admin_stays=role is Role.ADMIN)
 
     async def set_password(self, name: str, password: str) -> None:
         """Give somebody another password; logins end.  Raises UserError."""
         hashed = await self._hash(password)
-        await self._change(name, "UPDATE users SET password_hash = ? WHERE name = ?", (hashed, name))
+        statement = "UPDATE users SET password_hash = ? WHERE name = ?"
+        await self._change(name, statement, (hashed, name), admin_stays=True)
 
     async def remove(self, name: str) -> None:
         """Remove somebody; logins end.  Raises UserError: one admin has to stay."""
-        await self._keep_an_admin(name, None)
-        await self._change(name, "DELETE FROM users WHERE name = ?", (name,))
+        await self._change(name, "DELETE FROM users WHERE name = ?", (name,), admin_stays=False)
 
-    async def _change(self, name: str, statement: str, values: tuple[str, ...]) -> None:
-        def work(db: sqlite3.Connection) -> int:
+    async def _change(self, name: str, statement: str, values: tuple[str, ...], *, admin_stays: bool) -> None:
+        """Change one user and end the logins; with ``admin_stays`` False not the only admin, whoever asks at once."""
+
+        def work(db: sqlite3.Connection) -> int | None:
             db.execute("BEGIN IMMEDIATE")
             try:
-                changed = db.execute(statement, values).rowcount
-                db.execute("DELETE FROM sessions WHERE user = ?", (name,))
+                admins = db.execute("SELECT name FROM users WHERE role = ?", (Role.ADMIN.word,)).fetchall()
+                changed = None
+                if admin_stays or admins != [(name,)]:
+                    changed = db.execute(statement, values).rowcount
+                    db.execute("DELETE FROM sessions WHERE user = ?", (name,))
             except BaseException:
                 db.execute("ROLLBACK")
                 raise
             db.execute("COMMIT")
             return changed
 
-        if await self._store.run(work) == 0:
-            raise UserError("unknown", f"there is no user {name:.40}")
-
-    async def _keep_an_admin(self, name: str, becomes: Role | None) -> None:
-        admins = [user.name for user in await self.all() if user.role is Role.ADMIN]
-        if admins == [name] and becomes is not Role.ADMIN:
+        changed = await self._store.run(work)
+        if changed is None:
             raise UserError("last_admin", f"{name} is the only admin: make another one first")
+        if changed == 0:
+            raise UserError("unknown", f"there is no user {name:.40}")
 
     async def _hash(self, password: str) -> str:
         if not MIN_PASSWORD <= len(password) <= MAX_PASSWORD:

@@ -1,7 +1,6 @@
-"""How do clients reach the daemon?  A Unix socket with a mode and a group, and uvicorn behind it, with limits.
+"""How do clients reach the daemon?  A Unix socket with a mode and a group, and an HTTP server behind it, with limits.
 
-The limits are on connections, on the time until a request's head is there, on its size, and (in `endpoint`) on bodies.
-Signals stay the daemon's own business.
+The limits are on connections and their times (`slabcell.http_server`), and on bodies (in `endpoint`).
 """
 
 from __future__ import annotations
@@ -10,28 +9,23 @@ import asyncio
 import contextlib
 import errno
 import grp
-import logging
 import os
 import socket
 import stat
-from collections.abc import AsyncGenerator, Generator
+from collections.abc import AsyncGenerator
 from pathlib import Path
 from typing import Any, Final
 
-import uvicorn
 from starlette.types import ASGIApp
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from slabcell.errors import ConfigurationError, UnavailableError
+from slabcell.http_server import HttpConnection, serving
 from slabcell.service.api.peer import peer_of
 
 __all__ = ["listen", "serve"]
 
 MAX_CONNECTIONS: Final = 64
-HEAD_BYTES: Final = 16 << 10
-HEAD_TIMEOUT_S: Final = 10.0
 KEEP_ALIVE_S: Final = 10
-STOP_TIMEOUT_S: Final = 2
 PATH_BYTES: Final = 107
 """sun_path of unix(7), less its closing zero."""
 
@@ -103,80 +97,24 @@ def _clear(path: Path) -> None:
 @contextlib.asynccontextmanager
 async def serve(app: ASGIApp, server_socket: socket.socket, path: Path) -> AsyncGenerator[None]:
     """Serve the app at the socket; in the end the socket's file is gone."""
-    logging.getLogger("uvicorn").setLevel(logging.ERROR)  # bad requests are the clients' business, not the journal's
-    config = uvicorn.Config(
-        app,
-        http=_Connection,
-        ws="none",
-        lifespan="off",
-        log_config=None,
-        access_log=False,
-        server_header=False,
-        proxy_headers=False,
-        timeout_keep_alive=KEEP_ALIVE_S,
-        timeout_graceful_shutdown=STOP_TIMEOUT_S,
-        h11_max_incomplete_event_size=HEAD_BYTES,
-    )
-    server = _Server(config)
-    serving = asyncio.create_task(server.serve(sockets=[server_socket]), name="slabcell-api")
     try:
-        yield
+        async with serving(
+            app, server_socket, connection=_Connection, name="slabcell-api", keep_alive_s=KEEP_ALIVE_S, ws="none"
+        ):
+            yield
     finally:
-        server.should_exit = True
-        await serving
         path.unlink(missing_ok=True)  # noqa: ASYNC240 - one call, in the end
 
 
-class _Server(uvicorn.Server):
-    """Leaves the signals alone."""
+class _Connection(HttpConnection):
+    """One client.  Adds who it is."""
 
-    @contextlib.contextmanager
-    def capture_signals(self) -> Generator[None]:
-        yield
+    max_connections = MAX_CONNECTIONS
 
-
-class _Connection(H11Protocol):
-    """One client.  Adds to uvicorn: who it is, a limit on clients, and a deadline for the head of each request."""
-
-    _deadline: asyncio.TimerHandle | None = None
-
-    def connection_made(self, transport: asyncio.Transport) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]  (as uvicorn has it)
+    def connection_made(self, transport: asyncio.Transport) -> None:
+        """Ask the kernel who it is."""
         self.app_state: dict[str, Any] = {
             "peer": peer_of(transport.get_extra_info("socket")),
             "abort": transport.abort,
         }
         super().connection_made(transport)
-        if len(self.connections) > MAX_CONNECTIONS:
-            transport.abort()
-            return
-        self._await_head()
-
-    def data_received(self, data: bytes) -> None:
-        if not self._busy:
-            self._await_head()
-        super().data_received(data)
-        if self._busy:
-            self._forget_deadline()
-
-    def on_response_complete(self) -> None:
-        super().on_response_complete()
-        if not self._busy:
-            self._forget_deadline()  # from here on uvicorn's own time for an idle connection counts
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        self._forget_deadline()
-        super().connection_lost(exc)
-
-    @property
-    def _busy(self) -> bool:
-        """Whether a request is being answered."""
-        return bool(self.cycle) and not self.cycle.response_complete
-
-    def _await_head(self) -> None:
-        if self._deadline is None:
-            self._deadline = self.loop.call_later(HEAD_TIMEOUT_S, self.transport.abort)
-
-    def _forget_deadline(self) -> None:
-        if self._deadline is not None:
-            self._deadline.cancel()
-            self._deadline = None

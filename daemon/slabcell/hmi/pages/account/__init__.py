@@ -9,6 +9,7 @@ from http import HTTPStatus
 from starlette.responses import Response
 
 from slabcell.hmi.guard import cookie_name
+from slabcell.hmi.live import LOGIN_ENDED
 from slabcell.hmi.route import Page, get, post
 from slabcell.hmi.security.roles import Role
 from slabcell.hmi.security.users import User, UserError
@@ -41,7 +42,7 @@ def _next(visit: Visit) -> str:
 
 async def _try_login(visit: Visit) -> Response:
     name, address = visit.text("name", most=64), visit.address
-    wait_s = visit.hmi.limit.wait_s(name, address)
+    wait_s = visit.hmi.limit.begin(name, address)
     if wait_s > 0:
         visit.outcome = "refused: too many failures"
         problem = visit.words("too_many_tries", minutes=math.ceil(wait_s / 60))
@@ -50,7 +51,6 @@ async def _try_login(visit: Visit) -> Response:
         return response
     user = await visit.hmi.users.check(name, visit.text("password", most=1000))
     if user is None:
-        visit.hmi.limit.failed(name, address)
         visit.outcome = "wrong name or password"
         return _form(visit, status=HTTPStatus.FORBIDDEN, problem=visit.words("wrong"), name=name)
     visit.hmi.limit.succeeded(name, address)
@@ -63,6 +63,7 @@ async def _begin(visit: Visit, user: User, path: str) -> Response:
     if visit.session is not None:
         await visit.hmi.sessions.end(visit.session)
     token = await visit.hmi.sessions.begin(user, visit.address)
+    visit.session = await visit.hmi.sessions.find(token)  # whose doing this was, for the audit log
     response = visit.go(path)
     response.set_cookie(
         cookie_name(visit.hmi), token, httponly=True, samesite="strict", secure=visit.hmi.secure, path="/"
@@ -73,6 +74,7 @@ async def _begin(visit: Visit, user: User, path: str) -> Response:
 async def _logout(visit: Visit) -> Response:
     if visit.session is not None:
         await visit.hmi.sessions.end(visit.session)
+        visit.hmi.link.tell(LOGIN_ENDED)
     visit.outcome = "logged out"
     response = visit.go("/login")
     response.delete_cookie(cookie_name(visit.hmi), path="/", httponly=True, samesite="strict", secure=visit.hmi.secure)
@@ -101,18 +103,22 @@ async def _make_first(visit: Visit) -> Response:
         visit.outcome = problem
         return visit.page("first.html", status=status, problem=problem, name=name)
 
-    if hmi.limit.wait_s("", visit.address) > 0:
-        return again(HTTPStatus.TOO_MANY_REQUESTS, visit.words("too_many_tries", minutes=5))
-    if not secrets.compare_digest(visit.text("token").strip().encode(), hmi.first_token.encode()):
-        hmi.limit.failed("", visit.address)
+    token = hmi.first_token
+    if (wait_s := hmi.limit.begin("", visit.address)) > 0:
+        return again(HTTPStatus.TOO_MANY_REQUESTS, visit.words("too_many_tries", minutes=math.ceil(wait_s / 60)))
+    if not secrets.compare_digest(visit.text("token").strip().encode(), token.encode()):
         return again(HTTPStatus.FORBIDDEN, visit.words("wrong_token"))
+    hmi.limit.succeeded("", visit.address)
     if visit.text("password") != visit.text("again"):
         return again(HTTPStatus.UNPROCESSABLE_ENTITY, visit.words("differ"))
+    hmi.first_token = ""  # of two that come at once, one is the first
     try:
         user = await hmi.users.add(name, Role.ADMIN, visit.text("password"))
-    except UserError as error:
-        return again(HTTPStatus.UNPROCESSABLE_ENTITY, visit.words(f"user.{error.key}"))
-    hmi.first_token = ""
+    except BaseException as error:
+        hmi.first_token = token
+        if isinstance(error, UserError):
+            return again(HTTPStatus.UNPROCESSABLE_ENTITY, visit.words(f"user.{error.key}"))
+        raise
     visit.outcome = f"first admin {name} made"
     return await _begin(visit, user, "/")
 

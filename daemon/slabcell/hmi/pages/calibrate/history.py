@@ -40,7 +40,7 @@ async def _compare(visit: Visit) -> Response:
 async def _file(visit: Visit) -> Response:
     name = visit.text("name") or "configured"
     found = await visit.hmi.api.get(f"/v1/calibrations/{quote(name, safe='')}")
-    plain = "".join(sign for sign in name if sign.isalnum() or sign in "-_")
+    plain = "".join(sign for sign in name if sign.isascii() and (sign.isalnum() or sign in "-_"))
     headers = {"content-disposition": f'attachment; filename="calibration-{plain}.json"'}
     return Response(json.dumps(found["calibration"], indent=1), media_type="application/json", headers=headers)
 

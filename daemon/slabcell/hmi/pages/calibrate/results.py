@@ -71,7 +71,7 @@ def _touched(visit: Visit) -> list[Json]:
 
 async def _result(visit: Visit) -> Response:
     name, kind = visit.text("task", most=64), kind_of(visit)
-    if not name.isalnum():
+    if not (name.isascii() and name.isalnum()):
         return visit.fragment("result.html", task=None, kind=kind, report=None)
     return await _shown(visit, await visit.hmi.api.get(f"/v1/tasks/{name}"), kind)
 

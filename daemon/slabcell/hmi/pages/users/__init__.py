@@ -6,6 +6,7 @@ from http import HTTPStatus
 
 from starlette.responses import Response
 
+from slabcell.hmi.live import LOGIN_ENDED
 from slabcell.hmi.route import Page, get, post
 from slabcell.hmi.security.roles import Role
 from slabcell.hmi.security.users import UserError
@@ -63,7 +64,7 @@ async def _set_role(visit: Visit) -> Response:
         await visit.hmi.users.set_role(name, role)
     except UserError as error:
         return _not_done(visit, error)
-    return visit.done(visit.words("changed", name=name), "users")
+    return visit.done(visit.words("changed", name=name), "users", LOGIN_ENDED)
 
 
 async def _set_password(visit: Visit) -> Response:
@@ -72,7 +73,7 @@ async def _set_password(visit: Visit) -> Response:
         await visit.hmi.users.set_password(name, _new_password(visit))
     except UserError as error:
         return _not_done(visit, error)
-    return visit.done(visit.words("changed", name=name), "users")
+    return visit.done(visit.words("changed", name=name), "users", LOGIN_ENDED)
 
 
 async def _remove(visit: Visit) -> Response:
@@ -81,7 +82,7 @@ async def _remove(visit: Visit) -> Response:
         await visit.hmi.users.remove(name)
     except UserError as error:
         return _not_done(visit, error)
-    return visit.done(visit.words("removed", name=name), "users")
+    return visit.done(visit.words("removed", name=name), "users", LOGIN_ENDED)
 
 
 PAGE = Page(
