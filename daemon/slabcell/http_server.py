@@ -19,9 +19,10 @@ import uvicorn
 from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-__all__ = ["HttpConnection", "serving"]
+__all__ = ["HEAD_BYTES", "HttpConnection", "serving"]
 
 HEAD_BYTES: Final = 16 << 10
+"""Of a head that comes in pieces; one that comes whole is as large as one read of the kernel at the most."""
 STOP_TIMEOUT_S: Final = 2
 
 
@@ -41,6 +42,7 @@ class HttpConnection(H11Protocol):
         """Begin to wait for a request, or cut off who is one too many."""
         super().connection_made(transport)
         if len(self.connections) > self.max_connections or self._of_this_address() > self.max_of_one_address:
+            self.connections.discard(self)  # it takes nobody's room until it is gone
             transport.abort()
             return
         self._await_head()

@@ -146,13 +146,15 @@ class Client:
     cookies: dict[str, str] = field(default_factory=dict)
     form: str = ""
     """The form token of the last page."""
+    comes_from: str = "127.0.0.1"
+    """Any address of loopback: tries to log in are counted by it."""
 
     def ask(
         self, method: str, path: str, body: bytes | None = None, headers: Mapping[str, str] | None = None
     ) -> Answer:
         """Send one request."""
         host = urlsplit(self.base).netloc
-        connection = http.client.HTTPConnection(host, timeout=LIMIT_S)
+        connection = http.client.HTTPConnection(host, timeout=LIMIT_S, source_address=(self.comes_from, 0))
         sent: dict[str, str] = {"Host": host}
         if self.cookies:
             sent["Cookie"] = "; ".join(f"{name}={value}" for name, value in self.cookies.items())

@@ -6,6 +6,7 @@ import asyncio
 import traceback
 from collections.abc import Awaitable, Callable
 from http import HTTPStatus
+from itertools import chain
 from typing import Final
 from urllib.parse import parse_qsl, quote
 
@@ -25,6 +26,7 @@ from slabcell.hmi.pages import PAGES
 from slabcell.hmi.route import HmiRoute, Page
 from slabcell.hmi.static_files import static_files
 from slabcell.hmi.visit import Refusal, Visit
+from slabcell.http_server import HEAD_BYTES
 
 __all__ = ["make_app"]
 
@@ -49,7 +51,7 @@ def make_app(hmi: Hmi) -> ASGIApp:
 
 
 class _Shell:
-    """Around everything: unknown hosts are refused, and every answer carries the headers."""
+    """Around everything: unknown hosts and large heads are refused, and every answer carries the headers."""
 
     def __init__(self, app: ASGIApp, hmi: Hmi) -> None:
         self._app, self._hmi = app, hmi
@@ -74,11 +76,15 @@ class _Shell:
                 ]
             await send(message)
 
-        if is_known_host(self._hmi, Request(scope).headers):
+        if sum(map(len, chain.from_iterable(scope["headers"]))) + len(scope["query_string"]) > HEAD_BYTES:
+            text = self._hmi.words_of({}, "base")("refused.too_large", most=HEAD_BYTES >> 10)
+            status = HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE
+        elif not is_known_host(self._hmi, Request(scope).headers):
+            text, status = self._hmi.words_of({}, "base")("refused.host"), HTTPStatus.MISDIRECTED_REQUEST
+        else:
             await self._app(scope, receive, with_headers)
             return
-        text = self._hmi.words_of({}, "base")("refused.host")
-        await PlainTextResponse(f"{text}\n", HTTPStatus.MISDIRECTED_REQUEST)(scope, receive, with_headers)
+        await PlainTextResponse(f"{text}\n", status)(scope, receive, with_headers)
 
 
 def _route(hmi: Hmi, page: Page, route: HmiRoute) -> Route:

@@ -71,6 +71,8 @@ def is_own_origin(hmi: Hmi, headers: Headers) -> bool:
 
 
 def _host_of(netloc: str) -> str:
+    if "@" in netloc:  # a user's name has no place there
+        return ""
     try:
         return (urlsplit(f"//{netloc}").hostname or "").rstrip(".")
     except ValueError:

@@ -130,7 +130,7 @@ async def test_a_head_without_end_is_cut_off(api, tmp_path):
 
 
 async def test_a_head_that_does_not_come_is_waited_for_only_so_long(api, tmp_path, monkeypatch):
-    monkeypatch.setattr("slabcell.service.api.server.HEAD_TIMEOUT_S", 0.05)
+    monkeypatch.setattr("slabcell.http_server.HttpConnection.head_timeout_s", 0.05)
     reader, writer = await asyncio.open_unix_connection(tmp_path / "api.sock")
     writer.write(b"GET /v1/status HTTP/1.1\r\n")
     assert await reader.read(-1) == b""
@@ -138,7 +138,7 @@ async def test_a_head_that_does_not_come_is_waited_for_only_so_long(api, tmp_pat
 
 
 async def test_more_clients_than_the_limit_are_cut_off_and_the_others_are_served(api, tmp_path, client, monkeypatch):
-    monkeypatch.setattr("slabcell.service.api.server.MAX_CONNECTIONS", 3)
+    monkeypatch.setattr("slabcell.service.api.server._Connection.max_connections", 3)
     path = tmp_path / "api.sock"
     held = [await asyncio.open_unix_connection(path) for _ in range(3)]
     for _, writer in held:
