@@ -114,7 +114,7 @@ class BundleWriter:
                 self.kept(cycle, future.result())
         else:
             self.dropped += 1
-            self._report(f"{self.directory}: {type(error).__name__}: {error}")
+            self._report(f"{self.directory}: {_reason(error)}")
 
     def _report(self, detail: str) -> None:
         self._log.warning("bundle not kept", detail=detail)
@@ -136,3 +136,10 @@ def _kind(cycle: CycleRecord, rows: Rows) -> str:
     if unlucky or cycle.code not in {ResultCode.OK, ResultCode.JOB_COMPLETE}:
         return FAILURE
     return "verification" if cycle.verification else "cycle"
+
+
+def _reason(error: BaseException) -> str:
+    """Return in words why a bundle was not written; what is no trouble of the disk keeps its type."""
+    if isinstance(error, OSError):
+        return error.strerror or str(error)
+    return f"{type(error).__name__}: {error}"

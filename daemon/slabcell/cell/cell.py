@@ -41,7 +41,7 @@ from slabcell.errors import SlabcellError
 from slabcell.recipe import Recipe
 from slabcell_drivers.camera.protocol import Camera
 from slabcell_drivers.robot.arm import ArmModel
-from slabcell_drivers.robot.protocol import Answer, Request, ResultCode
+from slabcell_drivers.robot.protocol import Answer, Request, RequestType, ResultCode
 
 __all__ = ["Cell"]
 
@@ -419,7 +419,9 @@ class Cell:
 
     def _about(self, request: Request) -> dict[str, int]:
         """Return what every line that is logged while a request is served is about."""
-        job, cycle, result = self.job, self._cycles.present, request.ack_result_id
+        job, cycle = self.job, self._cycles.present
+        # Every telegram carries the robot's last result; only these two are about it.
+        result = request.ack_result_id if request.type in {RequestType.ACK, RequestType.HELLO} else 0
         about = {"job": job.job_id if job else 0, "cycle": cycle.cycle_id if cycle else 0, "result": result}
         return {name: number for name, number in about.items() if number}
 

@@ -76,10 +76,12 @@ async def test_a_line_of_the_log_names_the_job_the_cycle_and_the_result_that_it_
         result_id = (await bench.robot.next()).offer.result_id
         await bench.robot.say(AckState.ACCEPTED, result_id)
         await bench.robot.say(AckState.ABORTED)
+        await bench.robot.trigger()
     offering = next(line for line in lines if line.get("after") == "single_execution.offering")
     assert (offering["job"], offering["cycle"]) == (1, 1)
     ready = next(line for line in lines if line.get("cause") == "every result is settled")
     assert (ready["job"], ready["cycle"], ready["result"]) == (1, 1, result_id)
+    assert all("result" not in line for line in lines[lines.index(ready) + 1 :])  # the next picture is of no result
 
 
 async def test_every_request_is_one_step_of_the_ledger_at_most(bench):

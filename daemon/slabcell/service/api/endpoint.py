@@ -21,6 +21,7 @@ from slabcell.service.api.idempotency import KEY_HEADER, Once, check_key
 from slabcell.service.api.peer import Peer
 from slabcell.service.api.person import PERSON, PERSON_HEADER
 from slabcell.service.api.problems import ProblemError, problem_of, respond
+from slabcell.service.api.server import HEAD_BYTES
 
 __all__ = ["Body", "Call", "Endpoint", "Query", "make_route"]
 
@@ -113,6 +114,7 @@ def make_route(
 
     async def serve(request: Request) -> Response:
         try:
+            _check_head(request)
             if not endpoint.writes:
                 await pause()
             query = _query(endpoint, request)
@@ -128,6 +130,14 @@ def make_route(
             return Response(status_code=HTTPStatus.BAD_REQUEST)  # nobody reads it
 
     return Route(endpoint.path, serve, methods=[endpoint.method])
+
+
+def _check_head(request: Request) -> None:
+    """Refuse a head that is too large; one that comes in one piece passes the parser's own limit."""
+    found = len(request.scope["raw_path"]) + len(request.scope["query_string"])
+    found += sum(len(name) + len(value) for name, value in request.headers.raw)
+    if found > HEAD_BYTES:
+        raise ProblemError(431, f"the head has {found} bytes; at most {HEAD_BYTES} are taken")
 
 
 def _peer(request: Request) -> Peer:
@@ -193,7 +203,9 @@ def _validated(model: type[_Model], content: object) -> _Model:
         found = error.errors(include_url=False)[0]
         where = ".".join(str(part) for part in found["loc"]) or "the body"
         fault = f"{where} = {found['input']!r:.60}: {found['msg']}"
-        if found["type"] == "extra_forbidden":
+        if found["type"] == "model_type":
+            fault = f"{where} = {found['input']!r:.60}: must be a JSON object"
+        elif found["type"] == "extra_forbidden":
             fault = f"{fault}; known are {', '.join(model.model_fields)}"
         raise ProblemError(422, fault) from error
 

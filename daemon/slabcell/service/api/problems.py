@@ -27,6 +27,7 @@ _TITLES: Final = {
     413: "Request is too large",
     415: "Content is of another type",
     422: "Request cannot be taken",
+    431: "Request's head is too large",
     500: "Internal error",
     503: "Try again later",
 }

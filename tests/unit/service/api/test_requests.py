@@ -79,6 +79,7 @@ async def test_the_description_is_served(client):
         (head("GET", "/v1/cycles/7"), 404, "no cycle 7"),
         (head("GET", "/v1/frames/latest"), 404, "no picture"),
         (head("GET", "/v1/events?kinds=alarm,nonsense"), 422, "'nonsense' is no kind"),
+        (head("GET", "/v1/status", x="y" * 17_000), 431, "at most 16384 are taken"),
         (head("POST", "/v1/stop"), 400, "Idempotency-Key is missing"),
         (head("POST", "/v1/stop", idempotency_key="short"), 400, "8 to 64"),
         (head("POST", "/v1/stop", idempotency_key="k" * 8, content_length="2") + b"{}", 422, "takes no body"),
@@ -100,6 +101,17 @@ async def test_the_description_is_served(client):
             + b"[[[[[",
             400,
             "no JSON",
+        ),
+        (
+            head(
+                *("POST", "/v1/ledger/9/resolve"),
+                idempotency_key="k" * 8,
+                content_type="application/json",
+                content_length="2",
+            )
+            + b"[]",
+            422,
+            "must be a JSON object",
         ),
         (head("POST", "/v1/stop", idempotency_key="k" * 8, content_length="99999999"), 413, "at most 65536"),
     ],
