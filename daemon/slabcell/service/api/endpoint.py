@@ -17,11 +17,11 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from slabcell.errors import SlabcellError
+from slabcell.http_server import HEAD_BYTES
 from slabcell.service.api.idempotency import KEY_HEADER, Once, check_key
 from slabcell.service.api.peer import Peer
 from slabcell.service.api.person import PERSON, PERSON_HEADER
 from slabcell.service.api.problems import ProblemError, problem_of, respond
-from slabcell.service.api.server import HEAD_BYTES
 
 __all__ = ["Body", "Call", "Endpoint", "Query", "make_route"]
 
