@@ -1,10 +1,15 @@
 """The page Calibrate: from an empty list of views to a calibration that is in use, seen, advised, compared, checked."""
 
+import json
 import re
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, expect
+
+from slabcell.calibration import Calibration, load_calibration
+from slabcell_drivers.robot import Frame
 
 from .browser import window
 from .conftest import LIMIT_S, Cell, Server, wait_for
@@ -103,6 +108,70 @@ def test_hand_and_eye_with_the_robots_pose_at_each_view(cell: Cell, hmi: Server,
         computed(page)
         expect(page.locator("#result .facts")).to_contain_text("Table in the base")
         expect(page.locator("#result tbody tr").first).to_contain_text("view-")
+
+
+def test_a_camera_on_the_flange_and_the_poses_as_a_table(cell: Cell, hmi: Server, browser: Browser) -> None:
+    """A board that is moved before a camera looks to it as a camera that is moved the other way before a board.
+
+    So pictures of the board on the flange, with every pose turned round, are those of a camera on a flange, and that
+    stands on it where the fixed one stands in the base.
+    """
+    with window(browser, hmi, "engineer") as page:
+        page.goto("/calibrate?kind=hand-eye")
+        expect(page.locator("#views .count")).to_have_text("0")
+        lines: list[str] = []
+        for number in range(7):
+            shown = show(cell, "flange", number)
+            cell.api.post("/v1/frames/take")
+            cell.api.post("/v1/calibration/views", {"board": shown["board"], "picture": "latest", "pose": None})
+            turned = Frame(*shown["flange"]).inverse()
+            lines.append(", ".join([str(number + 1), *(f"{value:.9f}" for value in turned.as_tuple())]))
+        page.reload()
+        expect(page.locator("#views")).to_contain_text("no pose")
+        page.locator("summary", has_text="Poses as a table").click()
+        page.get_by_label("A line for each view").fill("\n".join(lines))
+        page.get_by_role("button", name="Take over").click()
+        expect(page.locator(".message")).to_contain_text("7 of 7 views know where the robot was")
+        page.locator("select[name=mount]").select_option("eye-in-hand")
+        page.locator("summary", has_text="Photo pose").click()
+        page.get_by_label("Flange when the table was calibrated").fill("0; 0; 0; 0; 0; 0")
+        name = computed(page)
+        made = cell.api.get(f"/v1/calibrations/{name}")["calibration"]["hand_eye"]
+        assert made["mount"] == "eye-in-hand"
+        collected = [show(cell, "flange", number)["flange"] for number in range(7)]
+        for number, flange in enumerate(collected, start=1):
+            cell.api.post(f"/v1/calibration/views/{number}/pose", {"pose": flange})
+        page.locator("select[name=mount]").select_option("eye-to-hand")
+        page.locator("#result").evaluate("element => element.replaceChildren()")
+        fixed = cell.api.get(f"/v1/calibrations/{computed(page)}")["calibration"]["hand_eye"]
+        assert made["translation_mm"] == pytest.approx(fixed["translation_mm"], abs=0.5)
+        assert np.array(made["rotation"]) == pytest.approx(np.array(fixed["rotation"]), abs=1e-3)
+
+
+def loaded(cell: Cell, name: str) -> Calibration:
+    path = cell.folder / "loaded.json"
+    path.write_text(json.dumps(cell.api.get(f"/v1/calibrations/{name}")["calibration"]))
+    return load_calibration(path)
+
+
+def test_points_that_the_robot_touched_are_the_frame_of_the_table(cell: Cell, hmi: Server, browser: Browser) -> None:
+    collect(cell, "table", range(3))
+    known = loaded(cell, "configured")
+    pixels = np.array([[500.0, 300.0], [1400.0, 320.0], [1380.0, 900.0], [520.0, 880.0], [960.0, 600.0]])
+    table = known.table_from_image(pixels)
+    robot = np.column_stack([100.0 - table[:, 1], 40.0 + table[:, 0]])  # a quarter of a turn and away
+    lines = [f"{u}; {v}; {x:.4f}; {y:.4f}" for (u, v), (x, y) in zip(pixels, robot, strict=True)]
+    with window(browser, hmi, "engineer", calm=False) as page:  # what is refused is an error to the console
+        page.goto("/calibrate?kind=plane")
+        page.locator("summary", has_text="Points touched").click()
+        page.get_by_label("A line each").fill("1, 2, three, 4, 5")
+        page.locator("#compute").click()
+        expect(page.locator(".message.failed")).to_contain_text("is neither view, column, row")
+        page.get_by_label("A line each").fill("\n".join(["u; v; x; y", *lines]))
+        name = computed(page)
+        expect(page.locator("#result .facts")).to_contain_text("Touched points")
+        made = loaded(cell, name)
+        assert made.table_from_image(pixels) == pytest.approx(robot, abs=0.3)
 
 
 def test_a_robot_that_does_not_say_where_it_is_is_told_of(cell: Cell, hmi: Server, browser: Browser) -> None:

@@ -32,6 +32,8 @@ __all__ = ["make_app"]
 
 BODY_TIMEOUT_S: Final = 10.0
 MAX_FIELDS: Final = 200
+AGAIN_S: Final = 5
+"""After so long a browser asks again for a page that the cell could not answer."""
 
 _log = structlog.get_logger(__name__)
 
@@ -164,7 +166,10 @@ def _refused(visit: Visit, status: int, text: str) -> Response:
     if visit.request.method == "POST" and visit.wants_fragment:
         return visit.failed(status, text)
     visit.outcome = text
-    return visit.problem(status, text)
+    response = visit.problem(status, text)
+    if status == HTTPStatus.SERVICE_UNAVAILABLE and visit.request.method == "GET" and not visit.wants_fragment:
+        response.headers["refresh"] = str(AGAIN_S)  # a panel on the wall comes back by itself
+    return response
 
 
 def _media_type(request: Request) -> str:

@@ -51,7 +51,10 @@ def look_at_camera(patient: Patient) -> Answers:
     yield from _address_of(found)
     calibration = patient.calibration
     if calibration is not None and calibration.camera.serial not in {"", found.serial}:
-        how = "name this camera's calibration, or calibrate again"
+        how = (
+            "name this camera's calibration in the configuration; to make one, take the old one out of it and"
+            " active-calibration.json out of the state directory, start the daemon anew, and use page Calibrate"
+        )
         detail = f"the calibration is of camera {calibration.camera.serial}, this one is {found.serial}"
         yield Severity.ERROR, detail, how
     if asyncio.run(look(str(found.address), FIND_S)) is Sight.CONTROLLED:

@@ -69,7 +69,10 @@ class BenchProcess:
                     return Message(said.content["result"], said.blobs)
         except TimeoutError as error:
             self.kill()
-            msg = f"{task} was not ready after {timeout_s:g} s and was ended"
+            msg = (
+                f"{task} was not ready after {timeout_s:g} s and was ended: this computer is busy, and the cell comes"
+                " first. Try again when the cell waits, or on fewer pixels: a region of interest, a smaller picture"
+            )
             raise BenchError(msg) from error
         except (OSError, WireError, ValueError) as error:
             status = self._status()
