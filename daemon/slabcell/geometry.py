@@ -101,9 +101,11 @@ class Polygon:
 
     @cached_property
     def centroid(self) -> Points:
-        """Centre of the enclosed area, shape (2,)."""
+        """Centre of the enclosed area, shape (2,); of one that encloses none, as nobody can lay it, of its vertices."""
         x, y = self.vertices.T
         cross = x * np.roll(y, -1) - np.roll(x, -1) * y
+        if np.sum(cross) == 0.0:
+            return self.vertices.mean(axis=0)
         cx = np.sum((x + np.roll(x, -1)) * cross)
         cy = np.sum((y + np.roll(y, -1)) * cross)
         return np.array([cx, cy]) / (3.0 * np.sum(cross))

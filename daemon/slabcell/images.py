@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from slabcell.errors import ImageError
 
-__all__ = ["Image", "decode_image", "image_size", "read_image"]
+__all__ = ["Image", "decode_image", "encode_image", "image_size", "read_image"]
 
 Image = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 """A picture: shape (h, w) grey or (h, w, 3) in the order blue, green, red; uint8 or uint16."""
@@ -45,6 +45,15 @@ def read_image(path: Path) -> Image:
         msg = f"{path}: cannot be read: {error.strerror}"
         raise ImageError(msg) from error
     return decode_image(raw, str(path))
+
+
+def encode_image(picture: Image, source: str, kind: str = ".png") -> bytes:
+    """Return a picture as a file of a kind, named by its ending; ``source`` stands in messages.  Raises ImageError."""
+    done, encoded = cv2.imencode(kind, picture)
+    if not done:
+        msg = f"{source}: the picture cannot be encoded as {kind}"
+        raise ImageError(msg)
+    return encoded.tobytes()
 
 
 def decode_image(raw: bytes, source: str) -> Image:

@@ -59,3 +59,10 @@ def test_clockwise_points_become_counter_clockwise() -> None:
 def test_two_points_are_no_polygon() -> None:
     with pytest.raises(ValueError, match="at least three"):
         Polygon.from_points([[0, 0], [1, 1]])
+
+
+@pytest.mark.parametrize("points", [[(0, 0), (4, 0), (8, 0)], [(1, 2)] * 3], ids=["a line", "a point"])
+def test_the_centre_of_what_encloses_no_area_is_that_of_its_vertices(points: list[tuple[float, float]]) -> None:
+    polygon = Polygon.from_points(points)
+    assert polygon.area_mm2 == 0
+    assert polygon.centroid == pytest.approx(np.mean(points, axis=0))

@@ -5,9 +5,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
-import cv2
-import numpy as np
-import numpy.typing as npt
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -44,8 +41,9 @@ from slabcell.cli.calibrate_report import (
     print_hand_eye,
     print_plane,
 )
-from slabcell.errors import CalibrationError, ImageError, SlabcellError, UsageError
-from slabcell.images import read_image
+from slabcell.cli.files import write_file
+from slabcell.errors import CalibrationError, ImageError, UsageError
+from slabcell.images import encode_image, read_image
 
 __all__ = ["calibrate_app"]
 
@@ -94,7 +92,7 @@ def camera_command(
     )
     save_calibration(out, result.calibration)
     if coverage is not None:
-        _write_png(coverage, draw_coverage(result.coverage, result.residuals))
+        write_file(coverage, encode_image(draw_coverage(result.coverage, result.residuals), str(coverage)))
     if as_json:
         typer.echo(json.dumps(camera_document(result, str(out), failures)))
     else:
@@ -301,13 +299,3 @@ def _detect(paths: Sequence[Path], board: Board, *, quiet: bool) -> tuple[list[D
 def _read(paths: Sequence[Path]) -> Iterator[tuple[str, Picture]]:
     for path in paths:
         yield str(path), read_image(path)
-
-
-def _write_png(path: Path, picture: npt.NDArray[np.uint8]) -> None:
-    done, encoded = cv2.imencode(".png", picture)
-    if not done:
-        raise SlabcellError(f"{path}: the picture could not be encoded")
-    try:
-        path.write_bytes(encoded.tobytes())
-    except OSError as error:
-        raise SlabcellError(f"{path}: cannot be written: {error.strerror}") from error

@@ -11,7 +11,6 @@ from ipaddress import AddressValueError, IPv4Address
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-import cv2
 import structlog
 import typer
 
@@ -22,14 +21,15 @@ from slabcell.cli.camera_report import (
     print_features,
     print_stream_report,
 )
+from slabcell.cli.files import write_file
 from slabcell.errors import (
     ConfigurationError,
-    ImageError,
     SlabcellError,
     TemporaryError,
     UnavailableError,
     UsageError,
 )
+from slabcell.images import encode_image
 from slabcell_drivers.camera import (
     CameraBusy,
     CameraConfigError,
@@ -333,11 +333,5 @@ def _ipv4(text: str, name: str) -> IPv4Address:
 
 
 def _write(out: Path, frame: ImageFrame, document: dict[str, Any]) -> None:
-    try:
-        good, data = cv2.imencode(".png", frame.pixels)
-        if not good:
-            raise ImageError(f"{out}: the picture cannot be written as PNG")
-        out.write_bytes(data.tobytes())
-        out.with_suffix(".json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise ImageError(f"{out}: cannot be written: {error.strerror}") from error
+    write_file(out, encode_image(frame.pixels, str(out)))
+    write_file(out.with_suffix(".json"), (json.dumps(document, indent=2) + "\n").encode())

@@ -27,7 +27,7 @@ from rich.table import Table
 
 from slabcell.calibration import load_calibration
 from slabcell.errors import CalibrationError, ImageError, SlabcellError, UsageError
-from slabcell.images import read_image
+from slabcell.images import encode_image, read_image
 from slabcell.recipe import Recipe, load_recipe
 from slabcell.vision.layers import LayeredLocator
 from slabcell.vision.overlay import draw_overlay
@@ -250,11 +250,7 @@ def _pose_rows(path: Path, result: LocateResult, recipe: Recipe) -> list[tuple[o
 
 
 def _write_overlay(path: Path, image: npt.NDArray[Any], result: LocateResult) -> None:
-    done, encoded = cv2.imencode(path.suffix.lower(), draw_overlay(image, result))
-    if not done:
-        msg = f"{path}: the overlay cannot be encoded as {path.suffix}"
-        raise SlabcellError(msg)
-    _write(path, encoded.tobytes())
+    _write(path, encode_image(draw_overlay(image, result), str(path), path.suffix.lower()))
 
 
 def _write(path: Path, content: bytes) -> None:

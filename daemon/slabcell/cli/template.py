@@ -12,8 +12,9 @@ from rich.table import Table
 
 from slabcell.cli.files import write_file
 from slabcell.cli.talk import make_console
-from slabcell.errors import SlabcellError, TemplateError, UsageError
+from slabcell.errors import TemplateError, UsageError
 from slabcell.geometry import Points
+from slabcell.images import encode_image
 from slabcell.template import Examined, Template, examine_csv, read_file
 from slabcell.template.dxf import UNITS, Drawing, DrawingOptions, Unit, read_drawing
 
@@ -89,11 +90,7 @@ def show(
 ) -> None:
     """Draw a template: every slot with its number, and the axes of the assembly."""
     picture = draw(_read(file, _options(unit, layer))[0], width)
-    done, encoded = cv2.imencode(".png", picture)
-    if not done:
-        msg = f"{out}: the picture could not be encoded"
-        raise SlabcellError(msg)
-    write_file(out, encoded.tobytes())
+    write_file(out, encode_image(picture, str(out)))
     typer.echo(str(out))
 
 

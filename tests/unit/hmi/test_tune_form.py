@@ -2,7 +2,7 @@
 
 import pytest
 
-from slabcell.hmi.pages.tune.form import TABLES, field_words, form_fields, keys_of
+from slabcell.hmi.pages.tune.form import TABLES, field_words, form_fields, keys_of, option_words
 from slabcell.service.recipe_schema import recipe_schema
 
 pytestmark = pytest.mark.unit
@@ -11,7 +11,9 @@ pytestmark = pytest.mark.unit
 def test_every_parameter_has_its_words_in_german_and_none_is_left_over() -> None:
     schema = recipe_schema()
     keys = {key for table in TABLES for key in keys_of(form_fields(schema, table, "de"))}
-    words = field_words("de")
+    words = dict(field_words("de"))
+    choices = option_words([field for table in TABLES for field in form_fields(schema, table, "de")], "de")
+    assert words.pop("options").keys() <= choices.keys()
     assert words.keys() == keys
     assert all(said.keys() == {"label", "help"} for said in words.values())
     assert set(field_words("en")) <= keys
