@@ -64,11 +64,16 @@ def addresses(route: HmiRoute) -> Iterator[str]:
         yield f"{path}?{urlencode(dict.fromkeys(FIELDS, value[:250]))}"
 
 
-def unharmed(server: Server) -> None:
-    """Nothing failed within the HMI itself, which says so in its log."""
-    log = server.child.log.read_text()
-    assert "page failed" not in log, log[log.index("page failed") :][:4000]
-    assert "Traceback" not in log, log[log.index("Traceback") :][:4000]
+@pytest.fixture(autouse=True)
+def unharmed(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Nothing may fail within an HMI meanwhile, which would say so in its log."""
+    servers = [request.getfixturevalue(name) for name in ("hmi", "alone") if name in request.fixturenames]
+    before = [len(server.child.log.read_text()) for server in servers]
+    yield
+    for server, start in zip(servers, before, strict=True):
+        said = server.child.log.read_text()[start:]
+        assert "page failed" not in said
+        assert "Traceback" not in said
 
 
 def harmless(text: str) -> None:
@@ -86,7 +91,6 @@ def test_no_address_breaks_a_page(hmi: Server, route: HmiRoute) -> None:
         if not answer.headers.get("content-type", "").startswith("image/"):
             harmless(answer.content.decode(errors="replace"))
         assert "slabcell=x" not in answer.headers.get("set-cookie", "")
-    unharmed(hmi)
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +127,6 @@ def test_no_form_or_content_breaks_a_page(alone: Server, route: HmiRoute) -> Non
         for kind in {form, route.raw or form, "application/json"}:
             answer = client.ask("POST", path, content, {**fixed, "Content-Type": kind})
             assert answer.status < 500 or answer.status == 503, (content[:40], kind, answer.text)
-    unharmed(alone)
 
 
 # Uploads, in front of the cell that reads them
@@ -189,7 +192,6 @@ def test_what_is_uploaded_breaks_nothing_and_the_cell_lives_on(
     answer = client.ask("POST", path, UPLOADS[what], headers)
     assert answer.status in {200, 400, 409, 413, 422, 503}, answer.text
     harmless(answer.text)
-    unharmed(hmi)
     assert cell.api.get("/v1/status")["state"]
 
 
@@ -229,7 +231,6 @@ def test_a_head_that_is_too_large_or_means_two_things_is_refused(alone: Server, 
     host = urlsplit(alone.base).netloc.encode()
     answer = raw(alone, b"POST /login HTTP/1.1\r\nHost: " + host + b"\r\n" + head + b"\r\n\r\nname=a")
     assert answer.startswith((b"HTTP/1.1 400 ", b"HTTP/1.1 413 ", b"HTTP/1.1 431 ")) or not answer, answer[:200]
-    unharmed(alone)
 
 
 @pytest.mark.parametrize(
@@ -271,13 +272,12 @@ def test_a_host_that_is_not_ours_gets_nothing(alone: Server, host: str) -> None:
         ),
     ],
 )
-def test_an_origin_that_is_not_this_page_is_refused(hmi: Server, alone: Server, origin: str) -> None:
+def test_an_origin_that_is_not_this_page_is_refused(alone: Server, origin: str) -> None:
     text = origin.format(base=alone.base, host=urlsplit(alone.base).netloc)
     client = alone.client("admin")
     answer = client.post("/users/add", {"name": "mallory", "role": "admin"}, Origin=text)
     assert answer.status == 403
     assert client.post("/login", {"name": "admin", "password": PASSWORD}, Origin=text).status == 403
-    unharmed(alone)
 
 
 def test_only_the_methods_of_a_route_are_answered(alone: Server) -> None:
@@ -286,7 +286,6 @@ def test_only_the_methods_of_a_route_are_answered(alone: Server) -> None:
         assert client.ask(method, "/users").status in {400, 404, 405}, method
     assert client.ask("HEAD", "/users").content == b""
     assert client.ask("GET", "/users/remove").status == 405
-    unharmed(alone)
 
 
 def test_one_who_holds_connections_does_not_keep_others_out(alone: Server) -> None:
