@@ -218,7 +218,6 @@ def raw(server: Server, content: bytes, address: str = "127.0.0.1") -> bytes:
         b"Cookie: " + b"a=b; " * 8000,
         b"\r\n".join(b"X%d: y" % number for number in range(4000)),
         b"Content-Length: 5\r\nContent-Length: 6",
-        b"Content-Length: 5\r\nTransfer-Encoding: chunked",
         b"Content-Length: -5",
         b"Transfer-Encoding: chunked, chunked",
         b"Host: evil.example",
