@@ -120,12 +120,14 @@ def test_a_camera_on_the_flange_and_the_poses_as_a_table(cell: Cell, hmi: Server
         page.goto("/calibrate?kind=hand-eye")
         expect(page.locator("#views .count")).to_have_text("0")
         lines: list[str] = []
+        views: list[int] = []  # their numbers go on where those of views before ended
         for number in range(7):
             shown = show(cell, "flange", number)
             cell.api.post("/v1/frames/take")
-            cell.api.post("/v1/calibration/views", {"board": shown["board"], "picture": "latest", "pose": None})
+            body = {"board": shown["board"], "picture": "latest", "pose": None}
+            views.append(cell.api.post("/v1/calibration/views", body)["view"])
             turned = Frame(*shown["flange"]).inverse()
-            lines.append(", ".join([str(number + 1), *(f"{value:.9f}" for value in turned.as_tuple())]))
+            lines.append(", ".join([str(views[-1]), *(f"{value:.9f}" for value in turned.as_tuple())]))
         page.reload()
         expect(page.locator("#views")).to_contain_text("no pose")
         page.locator("summary", has_text="Poses as a table").click()
@@ -139,7 +141,7 @@ def test_a_camera_on_the_flange_and_the_poses_as_a_table(cell: Cell, hmi: Server
         made = cell.api.get(f"/v1/calibrations/{name}")["calibration"]["hand_eye"]
         assert made["mount"] == "eye-in-hand"
         collected = [show(cell, "flange", number)["flange"] for number in range(7)]
-        for number, flange in enumerate(collected, start=1):
+        for number, flange in zip(views, collected, strict=True):
             cell.api.post(f"/v1/calibration/views/{number}/pose", {"pose": flange})
         page.locator("select[name=mount]").select_option("eye-to-hand")
         page.locator("#result").evaluate("element => element.replaceChildren()")
