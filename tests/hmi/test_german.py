@@ -124,7 +124,6 @@ REFUSED: tuple[tuple[str, dict[str, Any], str], ...] = (
     ("/calibrate/collect", {"board": "charuco:5x7:20", "kind": "camera"}, "braucht die Größe des Markers"),
     ("/calibrate/run", {"kind": "camera", "model": "brown5"}, "Es gibt keine Ansichten: erst welche sammeln"),
     ("/calibrate/remove", {"view": "77"}, "Es gibt keine Ansicht 77"),
-    ("/calibrate/robot-pose", {}, "Der Roboter "),
     ("/calibrate/poses", {"poses": "1,2,3"}, "hat 3 Werte, die Kopfzeile 7"),
     ("/calibrate/poses", {"poses": "1,a,0,0,0,0,0"}, "ist keine Zahl innerhalb von"),
     ("/calibrate/poses", {"poses": "9,1,0,0,0,0,0"}, "Die Tabelle nennt 9, was keine Ansicht ist"),
@@ -147,6 +146,18 @@ def test_what_is_refused_is_refused_in_german(hmi: Server, path: str, fields: di
     text = answer.said["text"]
     assert said in text
     assert english(text) == []
+
+
+def test_a_robot_that_says_nothing_is_told_of_in_german(hmi: Server) -> None:
+    answers: list[Answer] = []
+
+    def refused() -> bool:  # what a robot of another test said counts for some seconds
+        answers[:] = [german(hmi, "admin").post("/calibrate/robot-pose")]
+        return answers[0].status >= 400
+
+    wait_for(refused, "a refusal")
+    assert "Der Roboter " in answers[0].said["text"]
+    assert english(answers[0].said["text"]) == []
 
 
 def test_a_template_that_may_not_be_kept_is_refused_in_german(cell: Cell, hmi: Server) -> None:

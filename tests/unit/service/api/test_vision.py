@@ -201,7 +201,7 @@ async def test_the_bench_runs_at_low_priority_and_ends_with_the_daemon():
     await bench.close()
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
-    with pytest.raises(TemporaryError, match="ends"):
+    with pytest.raises(TemporaryError, match="is ending"):
         await bench.run("preview", {}, timeout_s=1.0)
 
 
