@@ -8,7 +8,7 @@ a person may have settled it by hand.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -130,14 +130,13 @@ class JobDesk:
         """Begin a session and settle what was under way; return its number and what came out."""
         job_id = self.job.job_id if self.job is not None else None
 
-        def work(book: LedgerFile) -> tuple[int, Settlement, list[OfferRecord]]:
+        def work(book: LedgerFile) -> tuple[int, Settlement, dict[int, OfferRecord] | None]:
             with book.step():
                 session = book.new_session(f"HELLO {request.sequence}")
                 outcome = settle(book, job_id, request, session)
-            return session, outcome, book.offers(job_id) if job_id is not None else []
+            return session, outcome, None if job_id is None else _by_id(book.offers(job_id))
 
-        session, outcome, offers = await self._write(work)
-        self._known = {offer.result_id: offer for offer in offers}  # so that the trigger need not read them
+        session, outcome, self._known = await self._write(work)  # so that the trigger need not read them
         for offer in outcome.moved:
             self._emit(ResultMoved(offer))
         if self.job is not None and self.job.state is not JobState.OPEN:
@@ -151,8 +150,7 @@ class JobDesk:
         job_id = self.job.job_id
         known = self._known
         if known is None or any(offer.job_id != job_id or offer.state is _O.UNKNOWN for offer in known.values()):
-            found = await self._ledger.run(lambda book: book.offers(job_id))
-            known = self._known = {offer.result_id: offer for offer in found}
+            known = self._known = _by_id(await self._ledger.run(lambda book: book.offers(job_id)))
         return list(known.values())
 
     async def _write(self, work: Callable[[LedgerFile], _T]) -> _T:
@@ -228,7 +226,7 @@ class JobDesk:
             self.job, self.finished, known = begun, None, {}
             self._emit(JobBegan(begun))
         if known is not None:
-            self._known = known | {offer.result_id: offer for offer in written}
+            self._known = known | _by_id(written)
         if written:
             self._emit(ResultMoved(written[0]))
         return written
@@ -261,7 +259,7 @@ class JobDesk:
 
         moved = await self._write(work)
         if known is not None:
-            self._known = known | {item.result_id: item for item in moved}
+            self._known = known | _by_id(moved)
         for item in moved:
             self._emit(ResultMoved(item))
         return moved[0]
@@ -276,7 +274,7 @@ class JobDesk:
             return set(book.void(job.job_id, session=session, reason=reason)), book.offers(job.job_id)
 
         taken_back, offers = await self._write(work)
-        self._known = {offer.result_id: offer for offer in offers}
+        self._known = _by_id(offers)
         for offer in offers:
             if offer.result_id in taken_back:
                 self._emit(ResultMoved(offer))
@@ -312,3 +310,7 @@ class JobDesk:
         await self._write(work)
         self.job = None
         self._emit(JobEnded(replace(job, state=JobState.ABANDONED)))
+
+
+def _by_id(offers: Iterable[OfferRecord]) -> dict[int, OfferRecord]:
+    return {offer.result_id: offer for offer in offers}

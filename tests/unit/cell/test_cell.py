@@ -373,6 +373,15 @@ async def test_a_finished_job_that_lies_there_still_is_not_laid_again_on_top_of_
     assert len(await bench.ledger.run(lambda book: book.rows("jobs"))) == 1
 
 
+async def test_a_finished_job_that_is_found_again_still_knows_its_slabs(bench):
+    await bench.robot.hello()
+    await bench.robot.lay_all()
+    await bench.restart()
+    await bench.robot.hello()
+    assert (await bench.robot.trigger()).code == ResultCode.JOB_COMPLETE
+    assert [item.slot for item in await bench.cell.verify()] == [0, 1, 2]
+
+
 async def test_no_job_begins_where_something_lies(bench):
     await bench.robot.hello()
     bench.eyes.lying = {1}
