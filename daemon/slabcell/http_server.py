@@ -16,14 +16,21 @@ from collections.abc import AsyncGenerator, Generator
 from typing import Any, ClassVar, Final
 
 import uvicorn
-from starlette.types import ASGIApp
+from starlette.types import ASGIApp, Scope
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-__all__ = ["HEAD_BYTES", "HttpConnection", "serving"]
+__all__ = ["HEAD_BYTES", "HttpConnection", "head_bytes", "serving"]
 
 HEAD_BYTES: Final = 16 << 10
 """Of a head that comes in pieces; one that comes whole is as large as one read of the kernel at the most."""
 STOP_TIMEOUT_S: Final = 2
+
+
+def head_bytes(scope: Scope) -> int:
+    """Return how large the head of a request is that has come: address and fields."""
+    fields: list[tuple[bytes, bytes]] = scope["headers"]
+    address = len(scope["raw_path"]) + len(scope["query_string"])
+    return address + sum(len(name) + len(value) for name, value in fields)
 
 
 class HttpConnection(H11Protocol):

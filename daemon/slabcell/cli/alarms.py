@@ -5,7 +5,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from slabcell.cli.talk import AsJson, Socket, client, make_console, print_json, seconds
+from slabcell.cli.talk import AsJson, Socket, client, given, make_console, print_json, print_page, seconds
 
 __all__ = ["alarms_app"]
 
@@ -57,17 +57,14 @@ def history(
     as_json: AsJson = False,
 ) -> None:
     """Show alarms that came, the newest first."""
-    query = {"limit": limit} | ({"before": before} if before is not None else {})
-    document = client(socket).get("/v1/alarms/history", **query)
+    document = client(socket).get("/v1/alarms/history", **given({"limit": limit, "before": before}))
     if as_json:
         print_json(document)
         return
     table = Table("number", "title", "came (UTC)", "went (UTC)", "why")
     for alarm in document["alarms"]:
         table.add_row(str(alarm["number"]), alarm["title"], alarm["came"], alarm["went"] or "stands", alarm["why"])
-    make_console().print(table)
-    if document["before"] is not None:
-        typer.echo(f"older ones: --before {document['before']}")
+    print_page(table, document["before"])
 
 
 @alarms_app.command()

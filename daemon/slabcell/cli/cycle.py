@@ -9,7 +9,7 @@ import typer
 from rich.table import Table
 
 from slabcell.cli.files import write_file
-from slabcell.cli.talk import AsJson, Socket, client, make_console, print_json
+from slabcell.cli.talk import AsJson, Socket, client, given, print_json, print_page
 
 __all__ = ["cycle_app"]
 
@@ -38,7 +38,7 @@ def list_command(
 ) -> None:
     """List ended cycles, the newest first."""
     query = {"job": job, "code": code, "since": since, "until": until, "before": before, "limit": limit}
-    document = client(socket).get("/v1/cycles", failed=failed, **_given(query))
+    document = client(socket).get("/v1/cycles", failed=failed, **given(query))
     if as_json:
         print_json(document)
         return
@@ -53,9 +53,7 @@ def list_command(
             "" if total is None else f"{total:.0f}",
             "yes" if cycle["bundle"] else "no",
         )
-    make_console().print(table)
-    if document["before"] is not None:
-        typer.echo(f"older ones: --before {document['before']}")
+    print_page(table, document["before"])
 
 
 @cycle_app.command("show")
@@ -101,7 +99,7 @@ def placements_command(
 ) -> None:
     """Print how slabs were measured to lie, as CSV, the newest first: placed minus nominal, in the assembly frame."""
     query = {"job": job, "slot": slot, "before": before, "limit": limit}
-    document = client(socket).get("/v1/placements", **_given(query))
+    document = client(socket).get("/v1/placements", **given(query))
     if as_json:
         print_json(document)
         return
@@ -124,10 +122,6 @@ def picture_command(
         api.post("/v1/frames/take")
     write_file(out, api.fetch("/v1/frames/latest.png").content)
     typer.echo(out)
-
-
-def _given(query: dict[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in query.items() if value is not None}
 
 
 def _outcome(cycle: dict[str, Any]) -> str:

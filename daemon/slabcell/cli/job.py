@@ -5,7 +5,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from slabcell.cli.talk import AsJson, Socket, client, make_console, print_json
+from slabcell.cli.talk import AsJson, Socket, client, given, make_console, print_json, print_page
 
 __all__ = ["job_app"]
 
@@ -60,8 +60,7 @@ def list_command(
     as_json: AsJson = False,
 ) -> None:
     """List jobs, the newest first."""
-    query: dict[str, Any] = {"state": state, "before": before, "limit": limit}
-    document = client(socket).get("/v1/jobs", **{key: value for key, value in query.items() if value is not None})
+    document = client(socket).get("/v1/jobs", **given({"state": state, "before": before, "limit": limit}))
     if as_json:
         print_json(document)
         return
@@ -69,6 +68,4 @@ def list_command(
     for job in document["jobs"]:
         laid = f"{len(job['slots']['laid'])} of {job['slots']['total']}"
         table.add_row(str(job["job"]), job["recipe"], job["state"], laid, job["began"], job["ended"] or "")
-    make_console().print(table)
-    if document["before"] is not None:
-        typer.echo(f"older ones: --before {document['before']}")
+    print_page(table, document["before"])

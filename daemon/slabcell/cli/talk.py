@@ -13,7 +13,7 @@ from rich.table import Table
 
 from slabcell.service.api.client import ApiClient
 
-__all__ = ["AsJson", "Socket", "client", "make_console", "print_json", "print_parts", "seconds"]
+__all__ = ["AsJson", "Socket", "client", "given", "make_console", "print_json", "print_page", "print_parts", "seconds"]
 
 UNBOUNDED = 1000
 """Columns of what is no terminal."""
@@ -41,6 +41,18 @@ def make_console() -> Console:
     """
     unbounded = not sys.stdout.isatty() and "COLUMNS" not in os.environ
     return Console(width=UNBOUNDED if unbounded else None, markup=False, highlight=False)
+
+
+def given(query: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the parameters of a query that somebody has named."""
+    return {name: value for name, value in query.items() if value is not None}
+
+
+def print_page(table: Table, before: int | None) -> None:
+    """Print one page of a list, and how the next one is asked for, if there is one."""
+    make_console().print(table)
+    if before is not None:
+        typer.echo(f"older ones: --before {before}")
 
 
 def print_json(document: Mapping[str, Any]) -> None:

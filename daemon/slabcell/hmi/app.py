@@ -6,7 +6,6 @@ import asyncio
 import traceback
 from collections.abc import Awaitable, Callable
 from http import HTTPStatus
-from itertools import chain
 from typing import Final
 from urllib.parse import parse_qsl, quote
 
@@ -26,7 +25,7 @@ from slabcell.hmi.pages import PAGES
 from slabcell.hmi.route import HmiRoute, Page
 from slabcell.hmi.static_files import static_files
 from slabcell.hmi.visit import Refusal, Visit
-from slabcell.http_server import HEAD_BYTES
+from slabcell.http_server import HEAD_BYTES, head_bytes
 
 __all__ = ["make_app"]
 
@@ -78,7 +77,7 @@ class _Shell:
                 ]
             await send(message)
 
-        if sum(map(len, chain.from_iterable(scope["headers"]))) + len(scope["query_string"]) > HEAD_BYTES:
+        if head_bytes(scope) > HEAD_BYTES:
             text = self._hmi.words_of({}, "base")("refused.too_large", most=HEAD_BYTES >> 10)
             status = HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE
         elif not is_known_host(self._hmi, Request(scope).headers):

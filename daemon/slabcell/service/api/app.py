@@ -79,7 +79,6 @@ def description() -> dict[str, object]:
 def make_app(context: ApiContext) -> Starlette:
     """Return the application for a running cell."""
     once = Once(context.history)
-    pause = context.pause
     content = Response(json.dumps(description()), media_type="application/json")
 
     async def openapi(_: Request) -> Response:
@@ -88,7 +87,7 @@ def make_app(context: ApiContext) -> Starlette:
     return Starlette(
         routes=[
             Route("/v1/openapi.json", openapi, methods=["GET"]),
-            *(make_route(endpoint, context, once, pause=pause) for endpoint in ENDPOINTS),
+            *(make_route(endpoint, context, once, pause=context.pause) for endpoint in ENDPOINTS),
         ],
         exception_handlers={HTTPException: _refuse},
     )

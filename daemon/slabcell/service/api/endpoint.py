@@ -17,7 +17,7 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from slabcell.errors import SlabcellError
-from slabcell.http_server import HEAD_BYTES
+from slabcell.http_server import HEAD_BYTES, head_bytes
 from slabcell.service.api.idempotency import KEY_HEADER, Once, check_key
 from slabcell.service.api.peer import Peer
 from slabcell.service.api.person import PERSON, PERSON_HEADER
@@ -100,12 +100,8 @@ class Endpoint(Generic[Context]):
         return self.writes and self.kept
 
 
-async def _at_once() -> None:
-    pass
-
-
 def make_route(
-    endpoint: Endpoint[Context], context: Context, once: Once, *, pause: Callable[[], Awaitable[None]] = _at_once
+    endpoint: Endpoint[Context], context: Context, once: Once, *, pause: Callable[[], Awaitable[None]]
 ) -> Route:
     """Return the route of an endpoint.  Whatever goes wrong in it is answered with a problem.
 
@@ -134,8 +130,7 @@ def make_route(
 
 def _check_head(request: Request) -> None:
     """Refuse a head that is too large; one that comes in one piece passes the parser's own limit."""
-    found = len(request.scope["raw_path"]) + len(request.scope["query_string"])
-    found += sum(len(name) + len(value) for name, value in request.headers.raw)
+    found = head_bytes(request.scope)
     if found > HEAD_BYTES:
         raise ProblemError(431, f"the head has {found} bytes; at most {HEAD_BYTES} are taken")
 
