@@ -136,7 +136,8 @@ async def test_a_ledger_that_another_process_holds_is_named(make_bench, tmp_path
         text=True,
     ) as holder:
         assert holder.stdout.readline() == "held\n"
-        assert (await bench.robot.trigger()).code == Fault.LEDGER_IN_USE
+        await bench.robot.trigger()
+        assert (await bench.robot.next()).code == Fault.LEDGER_IN_USE
         holder.stdin.close()
     await bench.cell.clear()
     assert (await bench.robot.trigger()).left == 3

@@ -1,8 +1,9 @@
 """The cell: what does it answer to each request of the robot, and what does it do for it?
 
 The robot asks in lock-step; requests are served one after the other.  Whatever the robot may act on is in the ledger
-before the answer leaves, and so is every acknowledgement.  It is *not* responsible for opening devices or for the
-robot's connection: the service is.
+before the answer leaves, and so is every acknowledgement.  How many results a trigger has brought is nothing to act on:
+that is told as soon as it is known, and the next request waits until they are written.  It is *not* responsible for
+opening devices or for the robot's connection: the service is.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import asyncio
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 
 import structlog
 
@@ -115,7 +117,7 @@ class Cell:
         self._changing = asyncio.Lock()
         self._clock = clock
         self._serving_since_s: float | None = None
-        self._tasks: set[asyncio.Task[Answer]] = set()
+        self._tasks: set[asyncio.Task[None]] = set()
         self._subscribers: list[Subscriber] = []
         self._log = structlog.stdlib.get_logger("slabcell.cell")
 
@@ -385,34 +387,52 @@ class Cell:
     # Requests
 
     async def handle(self, request: Request) -> Answer:
-        """Answer one request; never raises.  A caller that is cancelled does not undo what was begun."""
-        task = asyncio.create_task(self._serve(request), name=f"slabcell-request-{request.type.name}")
+        """Answer one request; never raises.  A caller that is cancelled does not undo what was begun.
+
+        What a request has brought about may be finished a little later: see `settled`.
+        """
+        answered: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
+        task = asyncio.create_task(self._serve(request, answered), name=f"slabcell-request-{request.type.name}")
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
-        return await asyncio.shield(task)
+        task.add_done_callback(partial(_answer_in_any_case, answered))
+        return await answered
 
-    async def _serve(self, request: Request) -> Answer:
+    async def settled(self) -> None:
+        """Return when all that was asked until now is done; the ledger then holds it."""
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    async def _serve(self, request: Request, answered: asyncio.Future[Answer]) -> None:
         try:
             async with asyncio.timeout(self.settings.busy_timeout_s):
                 await self._turn.acquire()
         except TimeoutError:
-            return self._to_answer(Reply(ResultCode.BUSY, message="Cell is busy. Ask again."), request)
+            busy = Reply(ResultCode.BUSY, message="Cell is busy. Ask again.")
+            _set(answered, self._to_answer(busy, request))
+            return
         self._serving_since_s = self._clock()
         try:
             known = self._serving.conversation.recall(request)
             if known is not None:
                 self._log.info("request repeated", sequence=request.sequence, type=request.type.name)
-                return known
+                _set(answered, known)
+                return
             fault = self._serving.conversation.refuse(request)
             if fault is not None:
                 self._log.warning("request refused", number=int(fault), type=request.type.name)
-                return self._to_answer(refusal(fault), request)
-            before = self._cycles.present
+                _set(answered, self._to_answer(refusal(fault), request))
+                return
+            before, said = self._cycles.present, list[Answer]()
+
+            def say(reply: Reply) -> None:
+                if not said:  # what has been said stands, even where the rest then fails: the next request is told
+                    said.append(self._to_answer(reply, request))
+                    _set(answered, said[0])
+
             with self.leisure.serving(), structlog.contextvars.bound_contextvars(**self._about(request)):
-                answer = self._to_answer(await self._serving.reply(request), request)
-            self._cycles.settle(request, answer, before=before)
-            self._serving.conversation.remember(request, answer)
-            return answer
+                say(await self._serving.reply(request, say))
+            self._cycles.settle(request, said[0], before=before)
+            self._serving.conversation.remember(request, said[0])
         finally:
             self._serving_since_s = None
             self._turn.release()
@@ -428,6 +448,20 @@ class Cell:
     def _to_answer(self, reply: Reply, request: Request) -> Answer:
         known = self._serving.conversation
         return to_answer(reply, request, session=known.session, trigger_sequence=known.trigger_sequence)
+
+
+def _set(answered: asyncio.Future[Answer], answer: Answer) -> None:
+    """Give an answer to who waits for it, if anybody still does."""
+    if not answered.done():
+        answered.set_result(answer)
+
+
+def _answer_in_any_case(answered: asyncio.Future[Answer], task: asyncio.Task[None]) -> None:
+    """Let nobody wait for the answer of a task that has ended without one."""
+    if task.cancelled():
+        answered.cancel()
+    elif (error := task.exception()) is not None and not answered.done():
+        answered.set_exception(error)
 
 
 def _as_kept(calibration: Calibration | None) -> Calibration | None:

@@ -87,15 +87,18 @@ class Execution:
         cycle.times_ms["total"] = (self._clock() - began_s) * 1000
         return cycle
 
-    async def run(self, request: Request, job: Job | None) -> Reply:
-        """Take a picture and do what it allows; without a job one begins.  May raise LedgerError."""
+    async def run(self, request: Request, job: Job | None, say: Callable[[Reply], None]) -> Reply:
+        """Take a picture and do what it allows; without a job one begins.  May raise LedgerError.
+
+        ``say`` is told how many results there are while they are written: the robot cannot act on a number.
+        """
         began_s = self._clock()
         self._conditions.held = self._conditions.suspended = None
         cycle = CycleRecord(0, job.job_id if job else 0, request.session, request.sequence)
         self._cycles.begin(cycle)
         await self._machine.fire(CellEvent.ACQUIRE, f"trigger {request.session}/{request.sequence}")
         try:
-            reply = await self._look(request, job, cycle)
+            reply = await self._look(request, job, cycle, say)
         except LookError as error:
             self._alarms.come(error.fault, str(error))
             self._conditions.held = _HELD.get(
@@ -132,7 +135,7 @@ class Execution:
         self._cycles.end()
         return placements
 
-    async def _look(self, request: Request, job: Job | None, cycle: CycleRecord) -> Reply:
+    async def _look(self, request: Request, job: Job | None, cycle: CycleRecord, say: Callable[[Reply], None]) -> Reply:
         frame = await self._looking.acquire(cycle)
         self._alarms.cease(*CAMERA_FAULTS)
         if job is None:
@@ -155,6 +158,8 @@ class Execution:
         cycle.correction_mm = job.correction_mm
         plan = await self._looking.locate(frame, slots, cycle)
         began_s = self._clock()
+        if plan.pairs:
+            say(Reply(left=len(plan.pairs)))
         written = await self._desk.write_cycle(request, job, plan.pairs)
         cycle.job_id = self._desk.job.job_id if self._desk.job else 0
         cycle.times_ms["ledger"] = (self._clock() - began_s) * 1000

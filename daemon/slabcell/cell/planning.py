@@ -14,11 +14,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
 
-import numpy as np
-import numpy.typing as npt
-
 from slabcell.catalogue import Fault
 from slabcell.cell.clearance import Clearance
+from slabcell.cell.descent import Descent, DescentTo
 from slabcell.cell.laying import LayingOrder
 from slabcell.cell.records import Pair
 from slabcell.cell.settings import CellSettings
@@ -28,7 +26,6 @@ from slabcell.geometry import PlanarPose, normalize_deg
 from slabcell.recipe import Recipe
 from slabcell.vision.result import LocatedPart
 from slabcell_drivers.robot.arm import ArmError, ArmModel, Axes
-from slabcell_drivers.robot.arm_solve import Pose
 from slabcell_drivers.robot.frame import Frame
 
 __all__ = ["Plan", "Planner", "Refusal"]
@@ -44,10 +41,6 @@ STRAIGHT_MM, STRAIGHT_DEG = 1e-3, 1e-3
 
 SAME_MM = 1e-6
 PLACES_REMEMBERED = 4096
-
-Matrix = npt.NDArray[np.float64]
-Descent = tuple[Pose, Pose]
-"""The flange above a pose, and at it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +61,8 @@ class Planner:
         self._order = LayingOrder(recipe.template.slots)
         self._workspace = Workspace(recipe.template.slots, settings)
         self._clearance = Clearance(recipe, settings)
-        self._pick_base, self._place_base = settings.pick_base.matrix, settings.place_base.matrix
-        self._from_tcp = np.linalg.inv(settings.tool.matrix)
+        self._to_pick = DescentTo(settings.pick_base, settings.tool, settings.approach_mm)
+        self._to_place = DescentTo(settings.place_base, settings.tool, settings.approach_mm)
         x, y, _, _, b, c = settings.tool.as_tuple()
         # Several cups, or one beside the tool's axis, stand on the slab as the vision has chosen, and in no other way.
         free = list(recipe.grasp.cups_mm) == [(0.0, 0.0)]
@@ -95,16 +88,13 @@ class Planner:
             parts = [part._replace(place=_shifted(part.place, correction_mm)) for part in parts]
         refused: list[Refusal] = []
         possible: dict[int, LocatedPart] = {}
-        for part in sorted(parts, key=lambda item: item.slot):
-            problem = self._workspace.refuse(part)
+        in_order = sorted(parts, key=lambda item: item.slot)
+        for part, problem in zip(in_order, self._workspace.refusals(in_order), strict=True):
             if problem is None:
                 possible[part.slot] = part
             else:
                 refused.append(problem)
         after = self._restrict(possible, laid, refused)
-        heights = [self._recipe.height_mm(slot) for slot in possible]
-        descents = self._descents(self._pick_base, [part.pick for part in possible.values()], heights)
-        picks = dict(zip(possible, descents, strict=True))
         pairs: list[Pair] = []
         wrist_deg: float | None = None
         usual: int | None = None  # the arm stays in the configuration that reaches the first slab, where it can
@@ -114,7 +104,8 @@ class Planner:
                 continue  # what had to come before it could not be reached: said below
             try:
                 if self._straight:
-                    at_pick = self._descend(picks[slot], "pick", usual)
+                    way = self._to_pick(possible[slot].pick, self._recipe.height_mm(slot))
+                    at_pick = self._descend(way, "pick", usual)
                     usual = self._arm.status_turn(at_pick)[0] if usual is None else usual
                     pair, wrist_deg = self._pair(possible[slot], at_pick, wrist_deg, correction_mm, usual)
                 else:
@@ -185,9 +176,8 @@ class Planner:
         problem: ArmError | None = None
         height_mm = self._recipe.height_mm(part.slot)
         for turn, place in product(self._few_turns_deg, self._alike(part, correction_mm)):
-            (way,) = self._descents(self._pick_base, [_turned(part.pick, turn)], [height_mm])
             try:
-                self._descend(way, "pick", None)
+                self._descend(self._to_pick(_turned(part.pick, turn), height_mm), "pick", None)
                 self._place_axes(_turned(place, turn), height_mm, None)
             except ArmError as error:
                 problem = problem or error
@@ -213,24 +203,8 @@ class Planner:
             found.append(PlanarPose(x, y, normalize_deg(place.a_deg + turn_deg)))
         return found
 
-    def _descents(self, base: Matrix, poses: Sequence[PlanarPose], heights_mm: Sequence[float]) -> list[Descent]:
-        """Return where the flange is above each pose, and at it, with the tool unturned; all of them at once."""
-        if not poses:
-            return []
-        x, y, a = np.array([(pose.x_mm, pose.y_mm, pose.a_deg) for pose in poses]).T
-        c, s = np.cos(np.deg2rad(a)), np.sin(np.deg2rad(a))
-        down = np.zeros((len(poses), 4, 4))  # Rz(a) turned over about X: the tool looks down
-        down[:, 0, 0], down[:, 0, 1], down[:, 1, 0], down[:, 1, 1] = c, s, s, -c
-        down[:, 2, 2], down[:, 3, 3] = -1.0, 1.0
-        down[:, 0, 3], down[:, 1, 3], down[:, 2, 3] = x, y, heights_mm
-        at = base @ down @ self._from_tcp
-        above = at.copy()
-        above[:, :3, 3] += self._settings.approach_mm * base[:3, 2]  # straight up in the base, which may be tilted
-        return [(_pose(over), _pose(target)) for over, target in zip(above.tolist(), at.tolist(), strict=True)]
-
     def _at_place(self, place: PlanarPose, height_mm: float, usual: int | None) -> Axes:
-        (way,) = self._descents(self._place_base, [place], [height_mm])
-        return self._descend(way, "place", usual)
+        return self._descend(self._to_place(place, height_mm), "place", usual)
 
     def _descend(self, way: Descent, end: str, usual: int | None) -> Axes:
         """Return the axes at a pose, in the ``usual`` configuration if that gets there.
@@ -264,14 +238,3 @@ def _shifted(pose: PlanarPose, shift_mm: tuple[float, float]) -> PlanarPose:
 
 def _turned(pose: PlanarPose, turn_deg: float) -> PlanarPose:
     return PlanarPose(pose.x_mm, pose.y_mm, pose.a_deg + turn_deg)
-
-
-def _pose(rows: list[list[float]]) -> Pose:
-    return Pose(
-        (rows[0][3], rows[1][3], rows[2][3]),
-        (
-            (rows[0][0], rows[0][1], rows[0][2]),
-            (rows[1][0], rows[1][1], rows[1][2]),
-            (rows[2][0], rows[2][1], rows[2][2]),
-        ),
-    )

@@ -1,10 +1,11 @@
 """What is each request of the robot answered, and what is done for it?  One request at a time.
 
-Whatever the robot may act on is in the ledger before the answer is returned, and so is every acknowledgement.
+Whatever the robot may act on is in the ledger before the answer is given, and so is every acknowledgement.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import structlog
@@ -56,16 +57,19 @@ class Serving:
         self._conditions = conditions
         self._log = structlog.stdlib.get_logger("slabcell.cell")
 
-    async def reply(self, request: Request) -> Reply:
-        """Return what to say to a request that was not answered before; never raises."""
+    async def reply(self, request: Request, say: Callable[[Reply], None]) -> Reply:
+        """Return what to say to a request that was not answered before; never raises.
+
+        ``say`` is called where that is known earlier: what is returned then, a fault, the robot has to hear later.
+        """
         try:
             match request.type:
                 case RequestType.HELLO:
                     return await self._hello(request)
                 case RequestType.TRIGGER:
-                    return await self._trigger(request)
+                    return await self._trigger(request, say)
                 case RequestType.NEXT:
-                    return await self._handover.next(request, begun_only=self._machine.state is CellState.HALTED)
+                    return await self._next(request)
                 case RequestType.ACK:
                     return await self._acknowledge(request)
                 case RequestType.HEARTBEAT:
@@ -134,12 +138,11 @@ class Serving:
 
     # A cycle
 
-    async def _trigger(self, request: Request) -> Reply:
+    async def _trigger(self, request: Request, say: Callable[[Reply], None]) -> Reply:
         if self._conditions.held is HeldCause.CALIBRATION:
             return Reply(Fault.CALIBRATION_MISSING)
         if self._machine.state not in {CellState.READY, CellState.OFFERING}:
-            standing = self._alarms.standing
-            return Reply(standing[-1].fault if standing else Fault.NOT_READY)
+            return self._not_ready()
         job = await self._desk.job_for(request)
         if job is not None and job.state is not JobState.OPEN:
             return Reply(ResultCode.JOB_COMPLETE)
@@ -155,7 +158,17 @@ class Serving:
             return Reply(Fault.GRIPPER_NOT_EMPTY)
         self._alarms.cease(Fault.GRIPPER_NOT_EMPTY)
         self.conversation.trigger_sequence = request.sequence
-        return await self._execution.run(request, job)
+        return await self._execution.run(request, job, say)
+
+    def _not_ready(self) -> Reply:
+        standing = self._alarms.standing
+        return Reply(standing[-1].fault if standing else Fault.NOT_READY)
+
+    async def _next(self, request: Request) -> Reply:
+        reply = await self._handover.next(request, begun_only=self._machine.state is CellState.HALTED)
+        # Results that were announced and could not be written are not "none": the robot must not go on as if.
+        nothing = reply.offer is None and reply.code == ResultCode.OK
+        return self._not_ready() if nothing and self._machine.state is CellState.ERROR else reply
 
     async def _acknowledge(self, request: Request) -> Reply:
         reply = await self._handover.acknowledge(request)

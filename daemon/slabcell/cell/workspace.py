@@ -36,19 +36,32 @@ class Workspace:
             shapely.prepare(grown)
         self._outlines = [slot.transformed(self._to_table).shape for slot in slots] if self._zones else []
 
-    def refuse(self, part: LocatedPart) -> Refusal | None:
-        """Return why tool or slab would be where they must not, or None."""
-        x, y = part.pick.x_mm, part.pick.y_mm
-        where = f"X {x:.1f} Y {y:.1f} of the table"
-        if not shapely.intersects_xy(self._pick_area, x, y):
-            detail = f"the grasp point at {where} is outside of the pick area"
-            return Refusal(part.slot, Fault.OUTSIDE_WORKSPACE, detail)
+    def refusals(self, parts: Sequence[LocatedPart]) -> list[Refusal | None]:
+        """Return for each part why tool or slab would be where they must not, or None."""
+        x = np.array([part.pick.x_mm for part in parts])
+        y = np.array([part.pick.y_mm for part in parts])
+        inside = shapely.intersects_xy(self._pick_area, x, y).tolist()
+        return [
+            self._in_zone(part) if within else self._outside(part) for part, within in zip(parts, inside, strict=True)
+        ]
+
+    def _outside(self, part: LocatedPart) -> Refusal:
+        detail = f"the grasp point at {_where(part)} is outside of the pick area"
+        return Refusal(part.slot, Fault.OUTSIDE_WORKSPACE, detail)
+
+    def _in_zone(self, part: LocatedPart) -> Refusal | None:
         if not self._zones:
             return None
+        x, y = part.pick.x_mm, part.pick.y_mm
         u, v = (float(value) for value in self._to_table.apply(np.array([part.place.x_mm, part.place.y_mm])))
         for number, (zone, grown) in enumerate(self._zones, start=1):
             if shapely.contains_xy(grown, x, y):
-                return Refusal(part.slot, Fault.OUTSIDE_WORKSPACE, f"the tool at {where} is in forbidden zone {number}")
+                detail = f"the tool at {_where(part)} is in forbidden zone {number}"
+                return Refusal(part.slot, Fault.OUTSIDE_WORKSPACE, detail)
             if shapely.contains_xy(grown, u, v) or zone.intersects(self._outlines[part.slot]):
                 return Refusal(part.slot, Fault.COLLISION, f"slot {part.slot} lies in forbidden zone {number}")
         return None
+
+
+def _where(part: LocatedPart) -> str:
+    return f"X {part.pick.x_mm:.1f} Y {part.pick.y_mm:.1f} of the table"

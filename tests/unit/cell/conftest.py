@@ -147,7 +147,9 @@ class ScriptedRobot:
         return Request(kind, **{**known, **values})
 
     async def ask(self, kind: RequestType, **values: Any) -> Answer:
-        return await self.cell.handle(self.request(kind, **values))
+        answer = await self.cell.handle(self.request(kind, **values))
+        await self.cell.settled()
+        return answer
 
     async def hello(self) -> Answer:
         answer = await self.ask(RequestType.HELLO)

@@ -431,10 +431,11 @@ async def test_a_restart_with_another_template_abandons_the_open_job_by_number(b
 async def test_a_ledger_that_cannot_be_written_stops_the_cell_by_number(bench):
     await bench.robot.hello()
     await bench.ledger.close()
-    answer = await bench.robot.trigger()
-    assert answer.code == Fault.LEDGER_UNWRITABLE
-    assert answer.offer is None
+    await bench.robot.trigger()  # says how many there would be: they are written while the robot hears of it
     assert bench.cell.state is CellState.ERROR
+    assert bench.cell.alarms.has(Fault.LEDGER_UNWRITABLE)
+    answer = await bench.robot.next()
+    assert (answer.code, answer.offer) == (Fault.LEDGER_UNWRITABLE, None)
     assert (await bench.robot.trigger()).code == Fault.LEDGER_UNWRITABLE
 
 
