@@ -159,7 +159,8 @@ class Looking:
         timeout_s = self._settings.vision_timeout_s
         running: Awaitable[_T] = asyncio.get_running_loop().run_in_executor(self._worker, work)
         try:
-            return await asyncio.wait_for(running, timeout_s)
+            async with asyncio.timeout(timeout_s):
+                return await running
         except TimeoutError as error:
             raise LookError(Fault.VISION_SLOW, f"not ready after {timeout_s} s") from error
         except ImageError as error:

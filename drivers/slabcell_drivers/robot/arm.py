@@ -92,10 +92,13 @@ class ArmModel:
         """
         reference = near or ALL_ZERO
         best, best_time = None, math.inf
-        for _, branch in self._branches(flange, reference, status, self._may_stand):
+        branches = self._branches(flange, reference, status, None if status is not None else self._may_stand)
+        for _, branch in branches:
             axes = self._nearest(branch, reference) if turn is None else self._turned(branch, reference, turn)
             if axes is None:
                 continue
+            if len(branches) == 1:
+                return axes
             time_s = self.travel_time_s(reference, axes)
             if time_s < best_time:
                 best, best_time = axes, time_s
