@@ -204,22 +204,23 @@ class JobDesk:
         """Return a result of the job, or None."""
         return next((offer for offer in await self.offers() if offer.result_id == result_id), None)
 
-    async def write_cycle(self, request: Request, job: Job, pairs: Sequence[Pair]) -> list[OfferRecord]:
+    async def write_cycle(self, request: Request, job: Job, pairs: Callable[[], Sequence[Pair]]) -> list[OfferRecord]:
         """Write the results of a trigger, the first as offered: the robot asks for it next; begin a drafted job.
 
-        All of it is one step of the ledger.
+        All of it is one step of the ledger.  ``pairs`` is called in the ledger's thread.
         """
         drafted = job.job_id == 0
         known = self._known if self._known is not None else ({} if drafted else None)
 
         def work(book: LedgerFile) -> tuple[Job, list[OfferRecord]]:
+            chosen = pairs()
             with book.step():
                 begun = job
                 if drafted:
                     about = (job.robot_job, job.recipe, job.template_sha256, job.slots, job.correction_mm)
                     begun = book.begin_job(*about)
                 session, sequence = request.session, request.sequence
-                return begun, book.record_cycle(begun.job_id, session, sequence, pairs, offer_first=True)
+                return begun, book.record_cycle(begun.job_id, session, sequence, chosen, offer_first=True)
 
         begun, written = await self._write(work)
         if drafted:

@@ -158,9 +158,9 @@ class Execution:
         cycle.correction_mm = job.correction_mm
         plan = await self._looking.locate(frame, slots, cycle)
         began_s = self._clock()
-        if plan.pairs:
-            say(Reply(left=len(plan.pairs)))
-        written = await self._desk.write_cycle(request, job, plan.pairs)
+        if plan.count:
+            say(Reply(left=plan.count))
+        written = await self._desk.write_cycle(request, job, lambda: plan.pairs)
         cycle.job_id = self._desk.job.job_id if self._desk.job else 0
         cycle.times_ms["ledger"] = (self._clock() - began_s) * 1000
         structlog.contextvars.bind_contextvars(job=cycle.job_id)

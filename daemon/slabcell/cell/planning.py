@@ -8,10 +8,10 @@ what may stand in the way has to be a forbidden zone.
 """
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache, partial
 from itertools import product
 
 from slabcell.catalogue import Fault
@@ -43,12 +43,31 @@ SAME_MM = 1e-6
 PLACES_REMEMBERED = 4096
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Plan:
-    """Pairs in the order in which they shall be laid, and what is left out."""
+    """What can be laid, in the order in which it shall be, and what is left out.
 
-    pairs: tuple[Pair, ...]
+    How much that is, is known at once.  In which direction the tool takes each slab is chosen when `pairs` are asked
+    for first, by whatever thread: the robot can be told the number meanwhile.
+    """
+
+    count: int
     refused: tuple[Refusal, ...]
+    choose: Callable[[], tuple[Pair, ...]]
+
+    @cached_property
+    def pairs(self) -> tuple[Pair, ...]:
+        """The poses, ``count`` pairs of them."""
+        return self.choose()
+
+
+@dataclass(frozen=True, slots=True)
+class _Reached:
+    """A part that can be laid: where A6 stands at its pick, and the ways to lay it, each with A6; tool unturned."""
+
+    part: LocatedPart
+    a6_deg: float
+    ways: list[tuple[float, PlanarPose]]
 
 
 class Planner:
@@ -95,8 +114,7 @@ class Planner:
             else:
                 refused.append(problem)
         after = self._restrict(possible, laid, refused)
-        pairs: list[Pair] = []
-        wrist_deg: float | None = None
+        reached: list[_Reached | Pair] = []
         usual: int | None = None  # the arm stays in the configuration that reaches the first slab, where it can
         done = set(laid)
         for slot in self._order.order(possible, laid, after):
@@ -107,19 +125,38 @@ class Planner:
                     way = self._to_pick(possible[slot].pick, self._recipe.height_mm(slot))
                     at_pick = self._descend(way, "pick", usual)
                     usual = self._arm.status_turn(at_pick)[0] if usual is None else usual
-                    pair, wrist_deg = self._pair(possible[slot], at_pick, wrist_deg, correction_mm, usual)
+                    places = self._alike(possible[slot], correction_mm)
+                    ways = self._places_reached(places, self._recipe.height_mm(slot), usual)
+                    reached.append(_Reached(possible[slot], at_pick[5], ways))
                 else:
-                    pair = self._first_reached(possible[slot], correction_mm)
+                    reached.append(self._first_reached(possible[slot], correction_mm))
             except ArmError as error:
                 refused.append(Refusal(slot, Fault.UNREACHABLE, str(error)))
                 continue
-            pairs.append(pair)
             done.add(slot)
         for slot in possible.keys() - done - {item.slot for item in refused}:
             first = ", ".join(str(other) for other in sorted(set(after.get(slot, ())) - done))
             detail = f"the slabs of slots {first} have to go first: the gripper would hit what is higher than it"
             refused.append(Refusal(slot, Fault.COLLISION, detail))
-        return Plan(tuple(pairs), tuple(sorted(refused, key=lambda item: item.slot)))
+        refused.sort(key=lambda item: item.slot)
+        return Plan(len(reached), tuple(refused), partial(self._choose, reached))
+
+    def _choose(self, reached: Sequence[_Reached | Pair]) -> tuple[Pair, ...]:
+        """Return the poses such that the wrist turns least on the way through all of them."""
+        limits = self._arm.axis_min_deg[5], self._arm.axis_max_deg[5]
+        pairs: list[Pair] = []
+        wrist_deg: float | None = None
+        for item in reached:
+            if isinstance(item, Pair):
+                pairs.append(item)
+                continue
+            a6 = [a6 for a6, _ in item.ways]
+            way, turn, wrist_deg = least_turn(item.a6_deg, a6, self._turns_deg, limits, wrist_deg)
+            turn_deg, part = self._turns_deg[turn], item.part
+            height_mm = self._recipe.height_mm(part.slot)
+            place = _down(item.ways[way][1], turn_deg, height_mm)
+            pairs.append(Pair(part.slot, _down(part.pick, turn_deg, height_mm), place, part.score))
+        return tuple(pairs)
 
     def _restrict(
         self, possible: dict[int, LocatedPart], laid: Collection[int], refused: list[Refusal]
@@ -139,20 +176,6 @@ class Planner:
             refused += found.refused
             for item in found.refused:
                 del possible[item.slot]
-
-    def _pair(
-        self, part: LocatedPart, at_pick: Axes, wrist_deg: float | None, correction_mm: tuple[float, float], usual: int
-    ) -> tuple[Pair, float]:
-        """Return the poses of one part, and where A6 stands after it was laid.  Raises ArmError."""
-        reached = self._places_reached(self._alike(part, correction_mm), self._recipe.height_mm(part.slot), usual)
-        limits = self._arm.axis_min_deg[5], self._arm.axis_max_deg[5]
-        a6 = [a6 for a6, _ in reached]
-        way, turn, last = least_turn(at_pick[5], a6, self._turns_deg, limits, wrist_deg)
-        turn_deg = self._turns_deg[turn]
-        height_mm = self._recipe.height_mm(part.slot)
-        place = _down(reached[way][1], turn_deg, height_mm)
-        pair = Pair(part.slot, _down(part.pick, turn_deg, height_mm), place, part.score)
-        return pair, last
 
     def _places_reached(self, places: list[PlanarPose], height_mm: float, usual: int) -> list[tuple[float, PlanarPose]]:
         """Return the ways to lay a part that the arm reaches, each with A6; raises ArmError if there is none."""
