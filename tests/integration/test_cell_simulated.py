@@ -7,6 +7,7 @@ import dataclasses
 import json
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -45,12 +46,12 @@ def true_calibration(world: World) -> Calibration:
     )
 
 
-def settings_of(world: World) -> CellSettings:
+def settings_of(world: World, **changes: Any) -> CellSettings:
     table = world.scene.table
     motion = RigidTransform2D(table.frame.a_deg, table.frame.x_mm, table.frame.y_mm)
     area = Polygon.from_points(table.pick_area).transformed(motion)
     slow = {"camera_timeout_s": 60.0, "vision_timeout_s": 60.0}  # a picture is rendered, on a machine that is busy
-    return CellSettings(Frame(), world.scene.assembly.frame, Frame(z_mm=260.0), area, **slow)
+    return CellSettings(Frame(), world.scene.assembly.frame, Frame(z_mm=260.0), area, **{**slow, **changes})
 
 
 class Robot:
