@@ -1,9 +1,7 @@
 """The cell: what does it answer to each request of the robot, and what does it do for it?
 
-The robot asks in lock-step; requests are served one after the other.  Whatever the robot may act on is in the ledger
-before the answer leaves, and so is every acknowledgement.  How many results a trigger has brought is nothing to act on:
-that is told as soon as it is known, and the next request waits until they are written.  It is *not* responsible for
-opening devices or for the robot's connection: the service is.
+Whatever the robot may act on is in the ledger before the answer leaves, and so is every acknowledgement.  It is *not*
+responsible for opening devices or for the robot's connection: the service is.
 """
 
 from __future__ import annotations
@@ -12,7 +10,6 @@ import asyncio
 import time
 from collections import deque
 from collections.abc import Callable
-from functools import partial
 
 import structlog
 
@@ -35,7 +32,7 @@ from slabcell.cell.looking import Looking
 from slabcell.cell.planning import Planner
 from slabcell.cell.preparing import Preparation
 from slabcell.cell.records import Job, JobState, PlacementRecord
-from slabcell.cell.reply import Reply, refusal, to_answer
+from slabcell.cell.requests import Requests
 from slabcell.cell.serving import Serving
 from slabcell.cell.settings import CellSettings
 from slabcell.cell.states import CellEvent, CellState, Conditions, HeldCause, StateMachine, SuspendedCause
@@ -43,7 +40,7 @@ from slabcell.errors import SlabcellError
 from slabcell.recipe import Recipe
 from slabcell_drivers.camera.protocol import Camera
 from slabcell_drivers.robot.arm import ArmModel
-from slabcell_drivers.robot.protocol import Answer, Request, RequestType, ResultCode
+from slabcell_drivers.robot.protocol import Answer, Request
 
 __all__ = ["Cell"]
 
@@ -113,11 +110,14 @@ class Cell:
         )
         self.leisure = bundles.leisure if bundles is not None else Leisure()
         """When what can be done later may be done."""
-        self._turn = asyncio.Lock()
+        self._requests = Requests(
+            *(self._serving, self._desk, self._cycles),
+            leisure=self.leisure,
+            busy_timeout_s=lambda: self.settings.busy_timeout_s,
+            clock=clock,
+        )
+        self._turn = self._requests.turn
         self._changing = asyncio.Lock()
-        self._clock = clock
-        self._serving_since_s: float | None = None
-        self._tasks: set[asyncio.Task[None]] = set()
         self._subscribers: list[Subscriber] = []
         self._log = structlog.stdlib.get_logger("slabcell.cell")
 
@@ -139,7 +139,7 @@ class Cell:
     @property
     def serving_for_s(self) -> float:
         """How long the present request has been served, in seconds; 0 if there is none."""
-        return 0.0 if self._serving_since_s is None else self._clock() - self._serving_since_s
+        return self._requests.serving_for_s
 
     @property
     def stepping(self) -> bool:
@@ -207,10 +207,7 @@ class Cell:
 
         A request that waits for a picture is given up soon: what it had not written yet never was.
         """
-        if self._tasks:
-            _, late = await asyncio.wait(self._tasks, timeout=STOP_PATIENCE_S)
-            for task in late:
-                task.cancel()
+        await self._requests.end(STOP_PATIENCE_S)
         async with self._turn:
             if self.state is not CellState.PREOPERATIONAL:
                 self._cycles.end()
@@ -220,7 +217,7 @@ class Cell:
                     self._log.warning("offers not taken back", error=str(error))
                 await self._machine.fire(CellEvent.STOP, "stop")
                 self._cycles.settle()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await self._requests.settled()
         await self._looking.close()
         await self._cycles.close()
 
@@ -384,84 +381,13 @@ class Cell:
             self._conditions.suspended = SuspendedCause.ROBOT_ABSENT
             self.alarms.come(Fault.ROBOT_ABSENT, "the connection ended while the robot program was running")
 
-    # Requests
-
     async def handle(self, request: Request) -> Answer:
-        """Answer one request; never raises.  A caller that is cancelled does not undo what was begun.
-
-        What a request has brought about may be finished a little later: see `settled`.
-        """
-        answered: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
-        task = asyncio.create_task(self._serve(request, answered), name=f"slabcell-request-{request.type.name}")
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-        task.add_done_callback(partial(_answer_in_any_case, answered))
-        return await answered
+        """Answer one request of the robot: see `slabcell.cell.requests`."""
+        return await self._requests.handle(request)
 
     async def settled(self) -> None:
-        """Return when all that was asked until now is done; the ledger then holds it."""
-        await asyncio.gather(*self._tasks, return_exceptions=True)
-
-    async def _serve(self, request: Request, answered: asyncio.Future[Answer]) -> None:
-        try:
-            async with asyncio.timeout(self.settings.busy_timeout_s):
-                await self._turn.acquire()
-        except TimeoutError:
-            busy = Reply(ResultCode.BUSY, message="Cell is busy. Ask again.")
-            _set(answered, self._to_answer(busy, request))
-            return
-        self._serving_since_s = self._clock()
-        try:
-            known = self._serving.conversation.recall(request)
-            if known is not None:
-                self._log.info("request repeated", sequence=request.sequence, type=request.type.name)
-                _set(answered, known)
-                return
-            fault = self._serving.conversation.refuse(request)
-            if fault is not None:
-                self._log.warning("request refused", number=int(fault), type=request.type.name)
-                _set(answered, self._to_answer(refusal(fault), request))
-                return
-            before, said = self._cycles.present, list[Answer]()
-
-            def say(reply: Reply) -> None:
-                if not said:  # what has been said stands, even where the rest then fails: the next request is told
-                    said.append(self._to_answer(reply, request))
-                    _set(answered, said[0])
-
-            with self.leisure.serving(), structlog.contextvars.bound_contextvars(**self._about(request)):
-                say(await self._serving.reply(request, say))
-            self._cycles.settle(request, said[0], before=before)
-            self._serving.conversation.remember(request, said[0])
-        finally:
-            self._serving_since_s = None
-            self._turn.release()
-
-    def _about(self, request: Request) -> dict[str, int]:
-        """Return what every line that is logged while a request is served is about."""
-        job, cycle = self.job, self._cycles.present
-        # Every telegram carries the robot's last result; only these two are about it.
-        result = request.ack_result_id if request.type in {RequestType.ACK, RequestType.HELLO} else 0
-        about = {"job": job.job_id if job else 0, "cycle": cycle.cycle_id if cycle else 0, "result": result}
-        return {name: number for name, number in about.items() if number}
-
-    def _to_answer(self, reply: Reply, request: Request) -> Answer:
-        known = self._serving.conversation
-        return to_answer(reply, request, session=known.session, trigger_sequence=known.trigger_sequence)
-
-
-def _set(answered: asyncio.Future[Answer], answer: Answer) -> None:
-    """Give an answer to who waits for it, if anybody still does."""
-    if not answered.done():
-        answered.set_result(answer)
-
-
-def _answer_in_any_case(answered: asyncio.Future[Answer], task: asyncio.Task[None]) -> None:
-    """Let nobody wait for the answer of a task that has ended without one."""
-    if task.cancelled():
-        answered.cancel()
-    elif (error := task.exception()) is not None and not answered.done():
-        answered.set_exception(error)
+        """Return when all that the robot has asked until now is done; the ledger then holds it."""
+        await self._requests.settled()
 
 
 def _as_kept(calibration: Calibration | None) -> Calibration | None:
