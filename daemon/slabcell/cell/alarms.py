@@ -7,6 +7,7 @@ not shown until its time is over.  What needs no response is no alarm, but a lin
 Source of the words: ISA-18.2, "Management of alarm systems for the process industries".
 """
 
+import asyncio
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -22,6 +23,8 @@ __all__ = ["MAX_SHELVED_S", "Alarm", "Alarms"]
 
 MAX_SHELVED_S = 8 * 3600.0
 """One shift: nobody may put an alarm away for good."""
+
+TENDED_EVERY_S = 1.0
 
 _ORDER = {Priority.HIGH: 0, Priority.MEDIUM: 1, Priority.LOW: 2}
 
@@ -131,10 +134,23 @@ class Alarms:
         self._emit(AlarmChanged(fault))
 
     def unshelve(self, fault: Fault) -> None:
-        """Show a shelved alarm again before its time is over.  Raises UsageError if it does not stand."""
+        """Show a shelved alarm again.  Raises UsageError if it does not stand."""
         self._standing[fault] = replace(self._find(fault), shelved_until_s=None)
         self._log.info("alarm unshelved", number=int(fault))
         self._emit(AlarmChanged(fault))
+
+    async def tend(self) -> None:
+        """Show what was shelved again as its time is over; runs until it is cancelled."""
+        while True:
+            self.show_due()
+            await asyncio.sleep(TENDED_EVERY_S)
+
+    def show_due(self) -> None:
+        """Show again, and tell of, what was shelved for a time that is over."""
+        now_s = self._clock()
+        for alarm in self.standing:
+            if alarm.shelved_until_s is not None and alarm.shelved_until_s <= now_s:
+                self.unshelve(alarm.fault)
 
     def _find(self, fault: Fault) -> Alarm:
         if fault not in self._standing:

@@ -23,6 +23,8 @@ from slabcell_drivers.robot.protocol import Answer, Request, RequestType, Result
 
 __all__ = ["Requests"]
 
+_log = structlog.stdlib.get_logger("slabcell.cell")
+
 
 class Requests:
     """Gives each request its turn.  Whoever changes the cell otherwise takes the ``turn`` too."""
@@ -46,7 +48,6 @@ class Requests:
         self._clock = clock
         self._since_s: float | None = None
         self._tasks: set[asyncio.Task[None]] = set()
-        self._log = structlog.stdlib.get_logger("slabcell.cell")
 
     @property
     def serving_for_s(self) -> float:
@@ -96,26 +97,28 @@ class Requests:
         conversation = self._serving.conversation
         known = conversation.recall(request)
         if known is not None:
-            self._log.info("request repeated", sequence=request.sequence, type=request.type.name)
+            _log.info("request repeated", sequence=request.sequence, type=request.type.name)
             return known
         fault = conversation.refuse(request)
         if fault is not None:
-            self._log.warning("request refused", number=int(fault), type=request.type.name)
+            _log.warning("request refused", number=int(fault), type=request.type.name)
             return self._to_answer(refusal(fault), request)
         return None
 
     async def _serve(self, request: Request, answered: asyncio.Future[Answer]) -> None:
-        before, said = self._cycles.present, list[Answer]()
+        before, early = self._cycles.present, list[Answer]()
 
         def say(reply: Reply) -> None:
-            if not said:  # what has been said stands, even where the rest then fails: the next request is told
-                said.append(self._to_answer(reply, request))
-                _set(answered, said[0])
+            early.append(self._to_answer(reply, request))
+            _set(answered, early[0])
 
         with self._leisure.serving(), structlog.contextvars.bound_contextvars(**self._about(request)):
-            say(await self._serving.reply(request, say))
-        self._cycles.settle(request, said[0], before=before)
-        self._serving.conversation.remember(request, said[0])
+            reply = await self._serving.reply(request, say)
+        # What has been said stands, even where the rest then failed: the next request is told of that.
+        answer = early[0] if early else self._to_answer(reply, request)
+        self._cycles.settle(request, answer, before=before)
+        self._serving.conversation.remember(request, answer)
+        _set(answered, answer)
 
     def _about(self, request: Request) -> dict[str, int]:
         """Return what every line that is logged while a request is served is about."""
@@ -140,5 +143,9 @@ def _leave_nobody_waiting(answered: asyncio.Future[Answer], task: asyncio.Task[N
     """End the wait for the answer of a task that has ended without one."""
     if task.cancelled():
         answered.cancel()
-    elif (error := task.exception()) is not None and not answered.done():
+    elif (error := task.exception()) is None:
+        return
+    elif answered.done():
+        _log.error("request failed after its answer", task=task.get_name(), exc_info=error)
+    else:
         answered.set_exception(error)

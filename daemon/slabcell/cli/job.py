@@ -38,6 +38,9 @@ def show(
     make_console().print(table)
     slots = head["slots"]
     typer.echo(f"{len(slots['laid'])} of {slots['total']} slots are laid, {len(slots['free'])} are free")
+    dx_mm, dy_mm = head["correction_x_mm"], head["correction_y_mm"]
+    if dx_mm or dy_mm:
+        typer.echo(f"every place is moved by dx {dx_mm:+.3f} mm, dy {dy_mm:+.3f} mm, as the last job was off")
 
 
 def _number(measured: dict[str, Any] | None, key: str) -> str:

@@ -178,7 +178,7 @@ async def running_cell(
         keeper = CameraKeeper(camera, cell, links, lambda: cell.calibration)
         context.camera = lambda: keeper.info
         disk = DiskWatch(folder, cell.alarms, links)
-        await stack.enter_async_context(_beside(keeper.run(), disk.run()))
+        await stack.enter_async_context(_beside(keeper.run(), disk.run(), cell.alarms.tend()))
         socket_path = api_socket(config.api.socket, folder)
         server_socket = listen(socket_path, mode=SOCKET_MODE, group=config.api.group)
         await stack.enter_async_context(serve(make_app(context), server_socket, socket_path))

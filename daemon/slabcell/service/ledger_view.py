@@ -39,6 +39,8 @@ class JobRow:
     state: str
     began_utc: str
     ended_utc: str | None
+    correction_x_mm: float
+    correction_y_mm: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +84,10 @@ def count_slots(slots: int, offers: Sequence[OfferRecord], *, attempts: int, for
     )
 
 
-_JOBS = "SELECT job_id, robot_job, recipe, template_sha256, slots, state, began_utc, ended_utc FROM jobs"
+_JOBS = (
+    "SELECT job_id, robot_job, recipe, template_sha256, slots, state, began_utc, ended_utc, correction_x_mm,"
+    " correction_y_mm FROM jobs"
+)
 
 
 class LedgerView:

@@ -93,6 +93,19 @@ def test_a_shelved_alarm_stands_unseen_until_its_time_is_over(alarms, clock):
     assert [alarm.fault for alarm in alarms.shown] == [Fault.CAMERA_LOST]
 
 
+def test_an_alarm_whose_time_on_the_shelf_is_over_is_told_of_once(alarms, clock, told):
+    for fault, duration_s in ((Fault.CAMERA_LOST, 60.0), (Fault.DISK_FULL, 90.0)):
+        alarms.come(fault, "gone")
+        alarms.shelve(fault, duration_s)
+    told.clear()
+    alarms.show_due()
+    assert told == []
+    clock.now_s += 60.0
+    for _ in range(3):
+        alarms.show_due()
+    assert told == [AlarmChanged(Fault.CAMERA_LOST)]
+
+
 @pytest.mark.parametrize("duration_s", [0.0, -1.0, MAX_SHELVED_S + 1, float("nan")])
 def test_nothing_is_shelved_for_good(alarms, duration_s):
     alarms.come(Fault.CAMERA_LOST, "gone")

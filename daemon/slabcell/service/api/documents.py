@@ -98,6 +98,8 @@ class JobDocument(Document):
     state: Literal["open", "complete", "abandoned"]
     began: str
     ended: str | None
+    correction_x_mm: float = Field(description="added to every place in x of the assembly, as the last job was off")
+    correction_y_mm: float = Field(description="the same in y")
     slots: SlotsDocument
 
 

@@ -8,9 +8,12 @@ from pathlib import Path
 
 import pytest
 from openapi_spec_validator import validate
+from typer.testing import CliRunner
 
 from slabcell.catalogue import Fault
+from slabcell.cell.ledger import LedgerFile
 from slabcell.cell.records import Job, JobState
+from slabcell.cli.job import job_app
 from slabcell.errors import ConfigurationError, RecipeError, SlabcellError, UnavailableError
 from slabcell.service.active_recipe import RecipeShelf
 from slabcell.service.api.app import ENDPOINTS, description
@@ -327,3 +330,13 @@ async def test_the_calibration_in_use_can_be_read(api, client):
     document = (await asyncio.to_thread(client.get, "/v1/calibration"))["calibration"]
     assert document["schema"] == "slabcell.calibration/1"
     assert document["camera"]["width"] == 640
+
+
+async def test_a_job_says_by_how_much_its_places_are_moved(api, client, tmp_path):
+    book = LedgerFile(tmp_path / "ledger.sqlite")
+    book.begin_job(1, "squares", "a" * 64, 1, (0.125, -0.5))
+    book.close()
+    job = (await asyncio.to_thread(client.get, "/v1/jobs/1"))["job"]
+    assert (job["correction_x_mm"], job["correction_y_mm"]) == (0.125, -0.5)
+    shown = await asyncio.to_thread(CliRunner().invoke, job_app, ["show", "1", "--socket", str(client.path)])
+    assert "every place is moved by dx +0.125 mm, dy -0.500 mm" in shown.output

@@ -54,6 +54,8 @@ async def _with_slots(context: ApiContext, rows: list[JobRow]) -> list[JobDocume
                 state=row.state,  # pyright: ignore[reportArgumentType]  (the model checks it)
                 began=row.began_utc,
                 ended=row.ended_utc,
+                correction_x_mm=row.correction_x_mm,
+                correction_y_mm=row.correction_y_mm,
                 slots=SlotsDocument(
                     total=row.slots,
                     laid=counts.laid,
