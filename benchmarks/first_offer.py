@@ -2,22 +2,20 @@
 
     python benchmarks/first_offer.py [--jobs 60] [--scene irregular] [--think-ms 10] [--directory DIR]
 
-The scene is rendered once, and delivered 30 ms after each request as a camera would; vision, planning, ledger, events
-and the EKI link are those of the daemon.  A time runs from a telegram's arrival to the sending of its answer, TRIGGER
+The scene is rendered once, and delivered 30 ms after each request as a camera would; vision, planning, ledger, events,
+log and EKI link are those of the daemon.  A time runs from a telegram's arrival to the sending of its answer, TRIGGER
 and NEXT together; what the cell itself says that camera and vision took is taken off.  Every trigger begins a job with
 all slabs of the scene.  See `cell_overhead` for the robot's own time (``--think-ms``).
 """
 
 import argparse
 import asyncio
-import logging
 import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
-import structlog
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -27,6 +25,7 @@ from tests.integration.test_cell_simulated import CONFIG, settings_of, true_cali
 from slabcell.cell.bundle_store import BundleWriter
 from slabcell.cell.cell import Cell
 from slabcell.cell.ledger import Ledger
+from slabcell.logs import log_to_file
 from slabcell.recipe import load_recipe
 from slabcell.service.api.ring import EventRing
 from slabcell.service.event_feed import EventFeed
@@ -108,8 +107,8 @@ def main() -> None:
     parser.add_argument("--think-ms", type=float, default=10.0, help="what the robot needs from answer to request")
     parser.add_argument("--directory", type=Path, default=None, help="on the disk to be measured")
     options = parser.parse_args()
-    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.WARNING))
     with tempfile.TemporaryDirectory(dir=options.directory) as folder:
+        log_to_file(Path(folder) / "log")
         times = asyncio.run(run(Path(folder), options.scene, options.jobs, options.think_ms / 1e3))
     for name, values in times.items():
         low, median, high = np.percentile(values, (5, 50, 95))
