@@ -10,6 +10,7 @@ all slabs of the scene.  See `cell_overhead` for the robot's own time (``--think
 
 import argparse
 import asyncio
+import gc
 import sys
 import tempfile
 import time
@@ -76,6 +77,8 @@ async def run(folder: Path, scene: str, jobs: int, think_s: float) -> dict[str, 
     wire = Wire(cell, think_s)
     await wire.open()
     robot = load_kit().ScriptedRobot(wire)
+    gc.collect()
+    gc.freeze()  # as the daemon does
     times: dict[str, list[float]] = {"first offer adds": [], "TRIGGER": [], "NEXT": [], "plan": [], "vision": []}
     for _ in range(jobs):
         await robot.hello()
