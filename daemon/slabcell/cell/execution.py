@@ -152,11 +152,12 @@ class Execution:
         if not slots.free:
             detail = f"slots {', '.join(map(str, slots.given_up))} failed {self._settings.attempts_per_slot} times"
             raise LookError(Fault.TRIED_TOO_OFTEN, detail)
-        await self._machine.fire(CellEvent.LOCATE, f"frame {frame.frame_id}")
         if slots.laid:
             await self._check_laid(job, cycle, frame, slots.laid)
         cycle.correction_mm = job.correction_mm
-        plan = await self._looking.locate(frame, slots, cycle)
+        locating = self._looking.locate(frame, slots, cycle)
+        await self._machine.fire(CellEvent.LOCATE, f"frame {frame.frame_id}")  # told and logged meanwhile
+        plan = await locating
         began_s = self._clock()
         if plan.count:
             say(Reply(left=plan.count))

@@ -118,8 +118,11 @@ class Looking:
         self._emit(FrameTaken(frame))
         return frame
 
-    async def locate(self, frame: ImageFrame, slots: Slots, cycle: CycleRecord) -> Plan:
-        """Return what can be laid into the free slots; the cycle gets the vision's result.  Raises `LookError`."""
+    def locate(self, frame: ImageFrame, slots: Slots, cycle: CycleRecord) -> Awaitable[Plan]:
+        """Begin to look now, and return what has to be waited for: what can be laid into the free slots.
+
+        The cycle then gets the vision's result.  Raises `LookError`, at the latest when it is waited for.
+        """
         eyes = self._require_eyes()
 
         def work() -> tuple[LocateResult, Plan, float]:
@@ -128,7 +131,10 @@ class Looking:
             planned = self._planner.plan(found.parts, laid=slots.laid, correction_mm=cycle.correction_mm)
             return found, planned, (self._clock() - began_s) * 1000
 
-        result, plan, plan_ms = await self._compute(work)
+        return self._located(self._compute(work), cycle)
+
+    async def _located(self, found: Awaitable[tuple[LocateResult, Plan, float]], cycle: CycleRecord) -> Plan:
+        result, plan, plan_ms = await found
         cycle.result = result
         for stage, duration_ms in [*result.timing_ms.items(), ("plan", plan_ms)]:
             if stage != "total":
@@ -154,10 +160,12 @@ class Looking:
             raise LookError(Fault.CALIBRATION_MISSING, NO_CALIBRATION)
         return self._eyes
 
-    async def _compute(self, work: Callable[[], _T]) -> _T:
-        """Run in the worker thread, to the deadline.  A thread cannot be stopped: what comes too late is dropped."""
+    def _compute(self, work: Callable[[], _T]) -> Awaitable[_T]:
+        """Begin now, in the worker thread.  A thread cannot be stopped: what comes after the deadline is dropped."""
+        return self._computed(asyncio.get_running_loop().run_in_executor(self._worker, work))
+
+    async def _computed(self, running: Awaitable[_T]) -> _T:
         timeout_s = self._settings.vision_timeout_s
-        running: Awaitable[_T] = asyncio.get_running_loop().run_in_executor(self._worker, work)
         try:
             async with asyncio.timeout(timeout_s):
                 return await running

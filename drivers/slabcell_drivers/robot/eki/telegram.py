@@ -170,7 +170,7 @@ def read(telegram: Telegram, raw: bytes, *, required: tuple[str, ...]) -> Values
     form = _FORMS[telegram.root]
     plain = form.plain.fullmatch(raw.decode("latin-1"))
     if plain is not None:
-        found = [read(text) for read, text in zip(form.readers, plain.groups(), strict=True)]
+        found = [reader(text) for reader, text in zip(form.readers, plain.groups(), strict=True)]
         values = dict(zip(form.paths, found, strict=True))
         if values["Head/@Ver"] == PROTOCOL_VERSION:
             _check_sums(form, values, values)
@@ -182,22 +182,22 @@ def _read_xml(form: _Form, raw: bytes, required: tuple[str, ...]) -> Values:
     """Return the values of any XML that means such a telegram."""
     telegram = form.telegram
     texts = _parse_xml(telegram.root, raw)
-    read: dict[str, Any] = {}
+    said: dict[str, Any] = {}
     problems: list[str] = []
     for element in telegram.elements:
         text = texts.get(element.path)
         if text is None:
             continue
         try:
-            read[element.path] = _value(element, text.strip())
+            said[element.path] = _value(element, text.strip())
         except ValueError as error:
             problems.append(str(error))
-    values = {**form.unset, **read}
-    version = read.get("Head/@Ver")
+    values = {**form.unset, **said}
+    version = said.get("Head/@Ver")
     if problems:
         raise MalformedTelegramError(f"{telegram.root} telegram: {problems[0]}")
     if version == PROTOCOL_VERSION:
-        _check_sums(form, values, read)
+        _check_sums(form, values, said)
     elif not _sums_up(texts):
         raise MalformedTelegramError(f"{telegram.root} telegram: Head/@Ver = {version}, and the sums do not agree")
     problems += [f"{path} is missing" for path in required if path not in texts]
