@@ -142,6 +142,7 @@ async def test_at_one_percent_of_loss_without_resends_no_bad_frame_is_delivered(
     # 39 packets a frame: two frames in three are lost.
     async with opened(make(gige.address, CameraSettings(packet_size=8000, frame_retention_us=30_000))) as camera:
         gige.faults.apply("noresend on")
+        before = gige.counts.packets_resent  # on a busy machine some are, while the camera is opened
         gige.faults.apply("loss 0.01")
         whole = 0
         while not whole or not camera.statistics.incomplete:
@@ -151,4 +152,4 @@ async def test_at_one_percent_of_loss_without_resends_no_bad_frame_is_delivered(
                 continue
             assert number == gige.counts.triggers
             whole += 1
-        assert gige.counts.packets_resent == 0
+        assert gige.counts.packets_resent == before
