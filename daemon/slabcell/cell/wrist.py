@@ -28,11 +28,8 @@ def least_turn(
     low, high = limits_deg
     picks: list[tuple[float, float, int, float]] = []  # way there, size of the turn, its number, A6
     for number, turn in enumerate(turns_deg):
-        angle, size = at_pick_deg + turn, abs(turn)
-        whole = math.ceil((low - angle) / 360.0)
-        while (a6 := angle + 360.0 * whole) <= high:
-            picks.append((0.0 if before_deg is None else abs(a6 - before_deg), size, number, a6))
-            whole += 1
+        angles = _angles(at_pick_deg + turn, low, high)
+        picks += [(0.0 if before_deg is None else abs(a6 - before_deg), abs(turn), number, a6) for a6 in angles]
     picks.sort()
     span = high - low
     moves: list[tuple[float, int, float]] = []  # way from pick to place, number of the place, the same with its sign

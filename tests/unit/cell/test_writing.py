@@ -11,6 +11,8 @@ import pytest
 from slabcell.cell.states import CellState
 from slabcell_drivers.robot.protocol import RequestType, ResultCode
 
+pytestmark = pytest.mark.unit
+
 IN_TIME_S = 5.0
 
 
