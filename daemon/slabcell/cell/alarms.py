@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import structlog
 
 from slabcell.catalogue import Clears, Fault, Priority, entry
+from slabcell.cell.afterwards import at_once
 from slabcell.cell.events import AlarmCame, AlarmChanged, AlarmWent, Event
 from slabcell.errors import UsageError
 
@@ -51,10 +52,20 @@ class Alarm:
 
 
 class Alarms:
-    """The alarms of one cell.  ``emit`` is told when one comes and when it goes."""
+    """The alarms of one cell.  ``emit`` is told when one comes and when it goes.
 
-    def __init__(self, emit: Callable[[Event], None], *, clock: Callable[[], float] = time.monotonic) -> None:
+    That and its line in the log are handed to ``later``.
+    """
+
+    def __init__(
+        self,
+        emit: Callable[[Event], None],
+        *,
+        later: Callable[[Callable[[], None]], None] = at_once,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._emit = emit
+        self._later = later
         self._clock = clock
         self._standing: dict[Fault, Alarm] = {}
         self.counts: Counter[Fault] = Counter()
@@ -85,10 +96,8 @@ class Alarms:
         self._standing[fault] = Alarm(fault, detail, self._clock())
         self.counts[fault] += 1
         words = entry(fault)
-        self._log.warning(
-            "alarm came", number=int(fault), title=words.title, detail=detail, priority=words.priority.value
-        )
-        self._emit(AlarmCame(fault, detail))
+        about = {"title": words.title, "detail": detail, "priority": words.priority.value}
+        self._tell(AlarmCame(fault, detail), "warning", "alarm came", **about)
 
     def cease(self, *faults: Fault) -> None:
         """Take back alarms whose cause is gone, as far as they go by themselves; others wait for a person."""
@@ -113,8 +122,7 @@ class Alarms:
             self._clear(fault, f"acknowledged by {by}")
         elif not standing.acknowledged_by:
             self._standing[fault] = replace(standing, acknowledged_by=by)
-            self._log.info("alarm acknowledged", number=int(fault), by=by)
-            self._emit(AlarmChanged(fault))
+            self._tell(AlarmChanged(fault), "info", "alarm acknowledged", by=by)
         return True
 
     def settle(self, fault: Fault, why: str) -> None:
@@ -130,14 +138,12 @@ class Alarms:
             raise UsageError(msg)
         standing = self._find(fault)
         self._standing[fault] = replace(standing, shelved_until_s=self._clock() + duration_s)
-        self._log.info("alarm shelved", number=int(fault), duration_s=duration_s)
-        self._emit(AlarmChanged(fault))
+        self._tell(AlarmChanged(fault), "info", "alarm shelved", duration_s=duration_s)
 
     def unshelve(self, fault: Fault) -> None:
         """Show a shelved alarm again.  Raises UsageError if it does not stand."""
         self._standing[fault] = replace(self._find(fault), shelved_until_s=None)
-        self._log.info("alarm unshelved", number=int(fault))
-        self._emit(AlarmChanged(fault))
+        self._tell(AlarmChanged(fault), "info", "alarm unshelved")
 
     async def tend(self) -> None:
         """Show what was shelved again as its time is over; runs until it is cancelled."""
@@ -160,5 +166,13 @@ class Alarms:
 
     def _clear(self, fault: Fault, why: str) -> None:
         del self._standing[fault]
-        self._log.info("alarm went", number=int(fault), title=entry(fault).title, why=why)
-        self._emit(AlarmWent(fault, why))
+        self._tell(AlarmWent(fault, why), "info", "alarm went", title=entry(fault).title, why=why)
+
+    def _tell(self, event: AlarmCame | AlarmChanged | AlarmWent, level: str, line: str, **about: object) -> None:
+        """Have a line logged, and who watches told."""
+
+        def tell() -> None:
+            getattr(self._log, level)(line, number=int(event.fault), **about)
+            self._emit(event)
+
+        self._later(tell)

@@ -9,7 +9,9 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
+from functools import partial
 
 import structlog
 
@@ -17,6 +19,7 @@ from slabcell.calibration.file import from_document as calibration_from_document
 from slabcell.calibration.file import to_document as calibration_to_document
 from slabcell.calibration.model import Calibration
 from slabcell.catalogue import Fault, entry
+from slabcell.cell.afterwards import Afterwards
 from slabcell.cell.alarms import Alarms
 from slabcell.cell.bundle import BundleContext
 from slabcell.cell.bundle_store import BundleWriter
@@ -72,16 +75,20 @@ class Cell:
         calibration = _as_kept(calibration)
         self.recipe = recipe
         self.settings = settings
-        self.alarms = Alarms(self._emit, clock=clock)
+        self._afterwards = Afterwards()
+        self.alarms = Alarms(self._tell, later=self._afterwards.do, clock=clock)
         self._conditions = Conditions(suspended=SuspendedCause.ROBOT_ABSENT)
         self._calibration: Calibration | None = calibration
         self._arm = arm
-        self._machine = StateMachine(lambda before, after, cause: self._emit(StateChanged(before, after, cause)))
+        self._machine = StateMachine(
+            lambda before, after, cause: self._tell(StateChanged(before, after, cause)), later=self._afterwards.do
+        )
         self._preparation = Preparation(self._machine, self.alarms, self._conditions)
         self._desk = JobDesk(ledger, recipe, self._emit)
         self._cycles = Cycles(
             *(ledger, _context(recipe, calibration, settings, arm) if bundles else None, bundles),
             emit=self._emit,
+            catch_up=self._afterwards.catch_up,
             failed=lambda detail: self.alarms.come(Fault.BUNDLE_UNWRITABLE, detail),
             kept=lambda: self.alarms.cease(Fault.BUNDLE_UNWRITABLE),
         )
@@ -116,7 +123,6 @@ class Cell:
             busy_timeout_s=lambda: self.settings.busy_timeout_s,
             clock=clock,
         )
-        self._turn = self._requests.turn
         self._changing = asyncio.Lock()
         self._subscribers: list[Subscriber] = []
         self._log = structlog.stdlib.get_logger("slabcell.cell")
@@ -172,22 +178,39 @@ class Cell:
         return self._desk.forgiven_up_to
 
     def subscribe(self, subscriber: Subscriber) -> Callable[[], None]:
-        """Have ``subscriber`` called with every event, until it raises; return the function that ends it."""
+        """Have ``subscriber`` called with every event from now on, until it raises; return the function that ends it.
+
+        It is called a moment after the event, so that the robot does not wait for it.
+        """
+        self._afterwards.catch_up()
         self._subscribers.append(subscriber)
 
         def end() -> None:
+            self._afterwards.catch_up()
             if subscriber in self._subscribers:
                 self._subscribers.remove(subscriber)
 
         return end
 
     def _emit(self, event: Event) -> None:
+        self._afterwards.do(partial(self._tell, event))
+
+    def _tell(self, event: Event) -> None:
         for subscriber in tuple(self._subscribers):
             try:
                 subscriber(event)
             except Exception:  # noqa: BLE001 - a watcher must not stop the cell
                 self._subscribers.remove(subscriber)
                 self._log.exception("subscriber failed and is told nothing any more", subscriber=repr(subscriber))
+
+    @asynccontextmanager
+    async def _turn(self) -> AsyncGenerator[None]:
+        """Have the cell for oneself; who watches knows in the end what came of it."""
+        async with self._requests.turn:
+            try:
+                yield
+            finally:
+                self._afterwards.catch_up()
 
     # Life
 
@@ -208,7 +231,7 @@ class Cell:
         A request that waits for a picture is given up soon: what it had not written yet never was.
         """
         await self._requests.end(STOP_PATIENCE_S)
-        async with self._turn:
+        async with self._turn():
             if self.state is not CellState.PREOPERATIONAL:
                 self._cycles.end()
                 try:
@@ -220,6 +243,7 @@ class Cell:
         await self._requests.settled()
         await self._looking.close()
         await self._cycles.close()
+        self._afterwards.catch_up()
 
     # A person
 
@@ -229,7 +253,7 @@ class Cell:
         A lost slab is then found and back on the table, and its slot is empty; a slot that failed too often is tried
         again.  Raises SlabcellError for an alarm that a word cannot clear.
         """
-        async with self._turn:
+        async with self._turn():
             if fault is Fault.PLACEMENT_UNKNOWN:
                 ids = ", ".join(str(o.result_id) for o in await self._desk.unknown() if o.fault != Fault.PART_LOST)
                 msg = f"alarm {int(fault)} goes when results {ids} are resolved: say for each whether it is placed"
@@ -244,7 +268,7 @@ class Cell:
 
     async def resolve(self, result_id: int, *, placed: bool) -> None:
         """Take a person's word for a result that is unknown.  Raises LedgerError if it is settled already."""
-        async with self._turn:
+        async with self._turn():
             await self._desk.resolve(result_id, placed=placed)
             await self._serving.unresolved()
 
@@ -253,7 +277,7 @@ class Cell:
 
         Raises SlabcellError if the cell is not ready or has no job, and LookError if there is no usable picture.
         """
-        async with self._turn:
+        async with self._turn():
             if self.state is not CellState.READY or self.job is None:
                 what = "has no job" if self.state is CellState.READY else f"is {self.state}"
                 msg = f"the cell {what}: a verification needs a job, and a cell that is ready"
@@ -264,20 +288,20 @@ class Cell:
 
     async def halt(self, cause: str) -> None:
         """Offer nothing any more, until `resume`.  What the robot holds it may still lay down."""
-        async with self._turn:
+        async with self._turn():
             await self._serving.halt(cause)
             self._cycles.settle()
 
     async def resume(self, by: str = "a person", *, step: bool = False) -> None:
         """Leave the halted state; with ``step`` for one slab only.  Nothing moves: the robot has to trigger."""
-        async with self._turn:
+        async with self._turn():
             await self._machine.fire(CellEvent.INITIALIZE, f"resumed by {by}")
             self._serving.stepping = step
             await self._preparation.finish(self._calibration, self.recipe.name)
 
     async def clear(self, by: str = "a person") -> None:
         """Leave the error state after a person has removed its cause."""
-        async with self._turn:
+        async with self._turn():
             await self._machine.fire(CellEvent.CLEAR, f"cleared by {by}")
             for alarm in self.alarms.standing:
                 if entry(alarm.fault).category in {"ledger", "service"}:
@@ -286,7 +310,7 @@ class Cell:
 
     async def step(self) -> None:
         """Halt after the slab that is under way or comes next.  Raises SlabcellError where nothing can be offered."""
-        async with self._turn:
+        async with self._turn():
             if self.state is not CellState.READY and not self.state.is_executing:
                 msg = f"the cell is {self.state}: it can go one step when it is halted, ready or in a cycle"
                 raise SlabcellError(msg, number=Fault.NOT_READY)
@@ -298,13 +322,13 @@ class Cell:
         The robot waits meanwhile: it is the caller's business to ask only when no robot does.  Raises SlabcellError
         while a cycle is on its way, and LookError if there is no usable picture.
         """
-        async with self._turn:
+        async with self._turn():
             self._require_leisure()
             return await self._execution.look(self.job)
 
     async def snap(self) -> None:
         """Take a picture for people to look at, as `look` does, but do not look for slabs in it."""
-        async with self._turn:
+        async with self._turn():
             self._require_leisure()
             await self._execution.snap()
 
@@ -315,7 +339,7 @@ class Cell:
 
     async def abandon_job(self, by: str = "a person") -> Job:
         """Close the open job before it is complete; the next trigger begins a new one.  Raises SlabcellError."""
-        async with self._turn:
+        async with self._turn():
             job = None if self.state.is_executing else await self._desk.abandon(f"abandoned by {by}")
             if job is None:
                 msg = "a cycle is on its way: halt the cell first" if self.state.is_executing else "no job is open"
@@ -348,7 +372,7 @@ class Cell:
             calibration.require_plane()
         eyes = await asyncio.to_thread(_eyes, calibration, recipe)
         planner = await asyncio.to_thread(Planner, recipe, settings, self._arm)
-        async with self._turn:
+        async with self._turn():
             if self.state not in _AT_LEISURE:
                 msg = f"the cell is {self.state}: this changes only when it is ready or halted"
                 raise SlabcellError(msg, number=Fault.NOT_READY)
@@ -386,8 +410,9 @@ class Cell:
         return await self._requests.handle(request)
 
     async def settled(self) -> None:
-        """Return when all that the robot has asked until now is done; the ledger then holds it."""
+        """Return when all that the robot has asked until now is done: the ledger holds it, and who watches knows."""
         await self._requests.settled()
+        self._afterwards.catch_up()
 
 
 def _as_kept(calibration: Calibration | None) -> Calibration | None:

@@ -27,7 +27,8 @@ KEPT_EXCHANGES = 2000
 class Cycles:
     """The present cycle and the records of the last ones.
 
-    ``failed`` is told why a bundle could not be kept, ``kept`` that one was.
+    ``failed`` is told why a bundle could not be kept, ``kept`` that one was.  ``catch_up`` has the events told that are
+    not told yet.
     """
 
     def __init__(
@@ -37,6 +38,7 @@ class Cycles:
         bundles: BundleWriter | None,
         *,
         emit: Callable[[Event], None],
+        catch_up: Callable[[], None],
         failed: Callable[[str], None],
         kept: Callable[[], None],
     ) -> None:
@@ -46,6 +48,7 @@ class Cycles:
         self._context = context
         self._bundles = bundles
         self._emit = emit
+        self._catch_up = catch_up
         self._failed = failed
         self._ended: list[CycleRecord] = []
         self._telegrams: deque[tuple[int, dict[str, object]]] = deque(maxlen=KEPT_TELEGRAMS)
@@ -125,6 +128,7 @@ class Cycles:
             self._failed(str(error))
             return
         await self._answered()
+        self._catch_up()  # who keeps a history has given the cycle its number then
         telegrams = [entry for number, entry in self._telegrams if number >= cycle.heard_from]
         bundles.keep(replace(cycle, telegrams=telegrams), context, rows)  # the record itself stays small
         cycle.frame = None  # pictures are large: the record stays, the picture is in the bundle

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 
 import structlog
@@ -161,6 +162,7 @@ class Execution:
         began_s = self._clock()
         if plan.count:
             say(Reply(left=plan.count))
+            await asyncio.sleep(0)  # it is sent now: the ledger's thread would take the interpreter
         written = await self._desk.write_cycle(request, job, lambda: plan.pairs)
         cycle.job_id = self._desk.job.job_id if self._desk.job else 0
         cycle.times_ms["ledger"] = (self._clock() - began_s) * 1000

@@ -9,11 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 
 import structlog
 from transitions.core import MachineError
 from transitions.extensions.asyncio import HierarchicalAsyncMachine, NestedAsyncState
 
+from slabcell.cell.afterwards import at_once
 from slabcell.errors import SlabcellError
 
 __all__ = [
@@ -160,14 +162,22 @@ class _Machine(HierarchicalAsyncMachine):
 class StateMachine:
     """The table at work.  ``on_change`` is called after each transition with the old state, the new one and the cause.
 
+    What is logged and told of a transition is handed to ``later``, in order.
+
     The table has neither conditions nor callbacks, so where an event leads is a matter of state and event alone: the
     library, which needs a third of a millisecond, is asked once for each.  Calls must not overlap: the owner serialises
     them.
     """
 
-    def __init__(self, on_change: Callable[[CellState, CellState, str], None] | None = None) -> None:
+    def __init__(
+        self,
+        on_change: Callable[[CellState, CellState, str], None] | None = None,
+        *,
+        later: Callable[[Callable[[], None]], None] = at_once,
+    ) -> None:
         self.current: str = CellState.PREOPERATIONAL.value
         self._on_change = on_change
+        self._later = later
         self._led_to: dict[tuple[CellState, CellEvent], str] = {}
         self._log = structlog.stdlib.get_logger("slabcell.cell")
         self._machine = _Machine(
@@ -213,6 +223,9 @@ class StateMachine:
                 self._log.warning("event refused", cell_event=event.value, state=before.value, cause=cause)
                 raise EventRefusedError(event, before) from error
             self._led_to[before, event] = self.current
-        self._log.info("state", before=before.value, after=self.current, cell_event=event.value, cause=cause)
+        self._later(partial(self._tell, before, self.state, event, cause))
+
+    def _tell(self, before: CellState, after: CellState, event: CellEvent, cause: str) -> None:
+        self._log.info("state", before=before.value, after=after.value, cell_event=event.value, cause=cause)
         if self._on_change is not None:
-            self._on_change(before, self.state, cause)
+            self._on_change(before, after, cause)

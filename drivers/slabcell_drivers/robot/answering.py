@@ -1,7 +1,7 @@
 """How do requests reach the cell, whatever happens to their connection?  One at a time, and each is finished.
 
 A request that is under way when its connection is lost is not cancelled, because the cell may be half way through its
-ledger; its answer is dropped, and only then the next connection's request is handed on.
+ledger: the link lets it finish and drops its answer, and only then the next connection's request is handed on.
 """
 
 import asyncio
@@ -37,20 +37,17 @@ class Answering(Generic[Sent]):
         self._handler = handler
         self._encode = encode
         self._turn = asyncio.Lock()
-        self._tasks: set[asyncio.Task[Sent]] = set()
-
-    async def answer(self, request: Request) -> Sent:
-        """Return what to send: the handler's answer, encoded, or an error number if it raises or cannot be sent."""
-        task = asyncio.get_running_loop().create_task(self._ask(request))
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-        return await asyncio.shield(task)
 
     async def settle(self) -> None:
         """Wait until no request is under way."""
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        async with self._turn:  # the lock is fair: whoever asked before has it first
+            return
 
-    async def _ask(self, request: Request) -> Sent:
+    async def answer(self, request: Request) -> Sent:
+        """Return what to send: the handler's answer, encoded, or an error number if it raises or cannot be sent.
+
+        Not to be cancelled once the handler is asked.  No task of its own: whoever sends goes on as the handler ends.
+        """
         async with self._turn:
             try:
                 answer = await self._handler(request)

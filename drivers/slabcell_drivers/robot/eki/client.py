@@ -104,7 +104,7 @@ class EkiClient:
         self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, answering: Answering[bytes]
     ) -> None:
         notice_dead_peer(writer.get_extra_info("socket"))
-        self._current = Connection(
+        connection = self._current = Connection(
             reader,
             writer,
             answering.answer,
@@ -112,10 +112,11 @@ class EkiClient:
             on_telegram=self._on_telegram,
         )
         if self._stopping.is_set():
-            self._current.end(EndReason.STOPPED)
+            connection.end(EndReason.STOPPED)
         self._states.become(LinkState.CONNECTED)
-        self.last_end = await self._current.run()
+        self.last_end = await connection.run()
         self._current = None
         _log.info("eki.disconnected", host=self._host, reason=self.last_end.value)
         if not self._stopping.is_set():
             self._states.become(LinkState.LISTENING)
+        await connection.settle()

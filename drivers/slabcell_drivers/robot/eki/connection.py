@@ -53,6 +53,8 @@ class Connection:
         self._queue: asyncio.Queue[Request] = asyncio.Queue(MAX_QUEUED_REQUESTS)
         self._heartbeat_due_s: float | None = None
         self._bad_in_a_row = 0
+        self._working: asyncio.Task[None] | None = None
+        self._asking = False
         self._end: asyncio.Future[EndReason] = asyncio.get_running_loop().create_future()
         self.last_received_s = time.monotonic()
 
@@ -62,8 +64,13 @@ class Connection:
             self._end.set_result(reason)
 
     async def run(self) -> EndReason:
-        """Serve the robot; returns why the connection ended, with the socket closed and no task left behind."""
-        tasks = [asyncio.create_task(self._read()), asyncio.create_task(self._work())]
+        """Serve the robot; returns why the connection ended, with the socket closed.
+
+        Then only the request that was under way is left: `settle` waits for it.
+        """
+        reading, working = asyncio.create_task(self._read()), asyncio.create_task(self._work())
+        self._working = working
+        tasks = [reading, working]
         try:
             await asyncio.wait([*tasks, self._end], return_when=asyncio.FIRST_COMPLETED)
             for task in tasks:
@@ -73,10 +80,17 @@ class Connection:
                     self.end(EndReason.FAILED)
             return self._end.result()
         finally:
-            for task in tasks:
+            self.end(EndReason.STOPPED)  # unless it has ended: who asks goes by that
+            ended = [reading] if self._asking else tasks
+            for task in ended:
                 task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
+            await asyncio.gather(*ended, return_exceptions=True)
             await self._close()
+
+    async def settle(self) -> None:
+        """Wait until the request that was under way is finished; nobody hears its answer any more."""
+        if self._working is not None:
+            await asyncio.gather(self._working, return_exceptions=True)
 
     async def _close(self) -> None:
         self._writer.transport.abort() if self._write_backlog() else self._writer.close()
@@ -153,7 +167,10 @@ class Connection:
     async def _work(self) -> None:
         while not self._end.done():
             request = await self._queue.get()
-            await self._send(await self._answer(request))
+            self._asking = True
+            answer = await self._answer(request)
+            self._asking = False
+            await self._send(answer)
 
     async def _send(self, telegram: bytes) -> None:
         if self._end.done():

@@ -141,3 +141,4 @@ class EkiServer:
             self._current = None
             if self._server is not None:
                 self._states.become(LinkState.LISTENING)
+        await connection.settle()
