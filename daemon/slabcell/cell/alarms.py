@@ -52,10 +52,7 @@ class Alarm:
 
 
 class Alarms:
-    """The alarms of one cell.  ``emit`` is told when one comes and when it goes.
-
-    That and its line in the log are handed to ``later``.
-    """
+    """The alarms of one cell.  ``emit`` is told when one comes and when it goes; log lines are handed to ``later``."""
 
     def __init__(
         self,
@@ -97,7 +94,8 @@ class Alarms:
         self.counts[fault] += 1
         words = entry(fault)
         about = {"title": words.title, "detail": detail, "priority": words.priority.value}
-        self._tell(AlarmCame(fault, detail), "warning", "alarm came", **about)
+        self._later(lambda: self._log.warning("alarm came", number=int(fault), **about))
+        self._emit(AlarmCame(fault, detail))
 
     def cease(self, *faults: Fault) -> None:
         """Take back alarms whose cause is gone, as far as they go by themselves; others wait for a person."""
@@ -122,7 +120,8 @@ class Alarms:
             self._clear(fault, f"acknowledged by {by}")
         elif not standing.acknowledged_by:
             self._standing[fault] = replace(standing, acknowledged_by=by)
-            self._tell(AlarmChanged(fault), "info", "alarm acknowledged", by=by)
+            self._later(lambda: self._log.info("alarm acknowledged", number=int(fault), by=by))
+            self._emit(AlarmChanged(fault))
         return True
 
     def settle(self, fault: Fault, why: str) -> None:
@@ -138,12 +137,14 @@ class Alarms:
             raise UsageError(msg)
         standing = self._find(fault)
         self._standing[fault] = replace(standing, shelved_until_s=self._clock() + duration_s)
-        self._tell(AlarmChanged(fault), "info", "alarm shelved", duration_s=duration_s)
+        self._later(lambda: self._log.info("alarm shelved", number=int(fault), duration_s=duration_s))
+        self._emit(AlarmChanged(fault))
 
     def unshelve(self, fault: Fault) -> None:
         """Show a shelved alarm again.  Raises UsageError if it does not stand."""
         self._standing[fault] = replace(self._find(fault), shelved_until_s=None)
-        self._tell(AlarmChanged(fault), "info", "alarm unshelved")
+        self._later(lambda: self._log.info("alarm unshelved", number=int(fault)))
+        self._emit(AlarmChanged(fault))
 
     async def tend(self) -> None:
         """Show what was shelved again as its time is over; runs until it is cancelled."""
@@ -166,13 +167,5 @@ class Alarms:
 
     def _clear(self, fault: Fault, why: str) -> None:
         del self._standing[fault]
-        self._tell(AlarmWent(fault, why), "info", "alarm went", title=entry(fault).title, why=why)
-
-    def _tell(self, event: AlarmCame | AlarmChanged | AlarmWent, level: str, line: str, **about: object) -> None:
-        """Have a line logged, and who watches told."""
-
-        def tell() -> None:
-            getattr(self._log, level)(line, number=int(event.fault), **about)
-            self._emit(event)
-
-        self._later(tell)
+        self._later(lambda: self._log.info("alarm went", number=int(fault), title=entry(fault).title, why=why))
+        self._emit(AlarmWent(fault, why))

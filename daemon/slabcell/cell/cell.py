@@ -76,7 +76,7 @@ class Cell:
         self.recipe = recipe
         self.settings = settings
         self._afterwards = Afterwards()
-        self.alarms = Alarms(self._tell, later=self._afterwards.do, clock=clock)
+        self.alarms = Alarms(self._emit, later=self._afterwards.do, clock=clock)
         self._conditions = Conditions(suspended=SuspendedCause.ROBOT_ABSENT)
         self._calibration: Calibration | None = calibration
         self._arm = arm

@@ -55,7 +55,7 @@ async def test_it_is_done_in_the_context_in_which_it_was_given():
 
 async def test_what_raises_is_logged_and_the_rest_is_done():
     afterwards, done = Afterwards(), []
-    afterwards.do(lambda: [][0])
+    afterwards.do(lambda: int("no number"))
     afterwards.do(lambda: done.append("rest"))
     with structlog.testing.capture_logs() as lines:
         afterwards.catch_up()
