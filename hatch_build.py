@@ -1,9 +1,9 @@
-"""How is the vision's compiled kernel built?  By the C compiler of the machine, when the package is built or installed.
+"""How is the compiled code built?  By the C compiler of the machine, when the package is built or installed.
 
 Hatchling calls this hook for wheels and for editable installs.  Where no C compiler is found, or it fails, the package
-is built without the kernel and says so: the vision then runs the same computation in NumPy, more slowly.
+is built without compiled code and says so: vision and planning then run the same computation in Python, more slowly.
 
-``python hatch_build.py`` builds the kernel in place.
+``python hatch_build.py`` builds everything in place.
 """
 
 import os
@@ -16,10 +16,11 @@ from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-ROOM = Path("daemon/slabcell/vision/native")
-LIBRARY = ROOM / "_kernel.so"
-# The same for x86 processors with these instructions; which one is used is decided where it runs.
-FAST_LIBRARY = ROOM / "_kernel_v3.so"
+# A library is made of the sources beside it.
+KERNEL = Path("daemon/slabcell/vision/native/_kernel.so")
+DESCENT = Path("drivers/slabcell_drivers/robot/native/_descent.so")
+# The kernel for x86 processors with these instructions; which one is used is decided where it runs.
+FAST_KERNEL = KERNEL.with_name("_kernel_v3.so")
 FAST_FLAGS = ["-mavx2", "-mfma", "-mbmi2"]
 # Sums may be reordered, which lets the compiler use vector instructions; NaN and infinity keep their meaning.
 FLAGS = [
@@ -30,38 +31,43 @@ TIMEOUT_S = 120
 
 
 class CustomBuildHook(BuildHookInterface[Any]):
-    """Compiles the kernel and adds it to what is built."""
+    """Compiles, and adds the libraries to what is built."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Compile, and mark the wheel as one of this platform where that worked."""
         del version
         root = Path(self.root)
-        problem = compile_kernel(root)
+        problem = compile_all(root)
         if problem:
-            self.app.display_warning(f"slabcell: built without the compiled kernel: {problem}")
+            self.app.display_warning(f"slabcell: built without compiled code: {problem}")
             return
         if self.target_name == "wheel":
-            build_data["artifacts"] += [str(made) for made in (LIBRARY, FAST_LIBRARY) if (root / made).exists()]
-            # The kernel is called through ctypes: any Python 3 of this platform can use it.
+            libraries = (KERNEL, FAST_KERNEL, DESCENT)
+            build_data["artifacts"] += [str(made) for made in libraries if (root / made).exists()]
+            # They are called through ctypes: any Python 3 of this platform can use them.
             build_data["pure_python"] = False
             build_data["tag"] = f"py3-none-{_platform()}"
 
 
-def compile_kernel(root: Path) -> str:
-    """Build the kernel beside its source; return why not, or nothing."""
+def compile_all(root: Path) -> str:
+    """Build each library beside its sources; return why not, or nothing."""
     compiler = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if not compiler:
         return "no C compiler found (cc, gcc or clang)"
-    problem = _compile(root, compiler, LIBRARY, [])
-    if not problem and platform.machine() == "x86_64":
-        problem = _compile(root, compiler, FAST_LIBRARY, FAST_FLAGS)
-    return problem
+    libraries: list[tuple[Path, list[str]]] = [(KERNEL, []), (DESCENT, [])]
+    if platform.machine() == "x86_64":
+        libraries.append((FAST_KERNEL, FAST_FLAGS))
+    for library, flags in libraries:
+        problem = _compile(root, compiler, library, flags)
+        if problem:
+            return problem
+    return ""
 
 
 def _compile(root: Path, compiler: str, library: Path, flags: list[str]) -> str:
     made = root / library
     temporary = made.with_suffix(f".{os.getpid()}.part")
-    sources = [str(source) for source in sorted((root / ROOM).glob("*.c"))]
+    sources = [str(source) for source in sorted((root / library.parent).glob("*.c"))]
     command = [*compiler.split(), *FLAGS, *flags, "-o", str(temporary), *sources, "-lm"]
     try:
         # The command is the user's own C compiler on our own files.
@@ -83,4 +89,4 @@ def _platform() -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(compile_kernel(Path(__file__).parent) or 0)
+    sys.exit(compile_all(Path(__file__).parent) or 0)

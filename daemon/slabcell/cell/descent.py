@@ -1,15 +1,20 @@
-"""Where is the flange when the tool stands on a slab, and above it?  Plain floats: it is asked for one slab at a time.
+"""Where are flange and axes when the tool stands on a slab, and the flange above it?
+
+Plain floats, for one slab at a time; the axes of many in one call of the compiled library, where there is one.
 
 The tool looks down on the slab: its frame in that of the table is Rz(a) Rx(180°) at the grasp point (`planning`).
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from slabcell.geometry import PlanarPose
+from slabcell_drivers.robot.arm import ArmModel, Axes
 from slabcell_drivers.robot.arm_solve import Pose, Vector
 from slabcell_drivers.robot.frame import Frame
+from slabcell_drivers.robot.native import NativeDescent, native_library
 
 __all__ = ["Descent", "DescentTo"]
 
@@ -18,15 +23,32 @@ Descent = tuple[Pose, Pose]
 
 
 class DescentTo:
-    """The way straight down to poses in one base, for one tool; lengths in mm."""
+    """The way straight down to poses in one base, for one arm and one tool; lengths in mm."""
 
-    def __init__(self, base: Frame, tool: Frame, approach_mm: float) -> None:
+    def __init__(self, base: Frame, tool: Frame, approach_mm: float, arm: ArmModel) -> None:
         """``approach_mm`` counts along the Z axis of the base, which may be tilted."""
         self._flange_in_tool = tuple(_vector(column) for column in np.linalg.inv(tool.matrix).T.tolist())
         rows = base.matrix.tolist()
         self._rows = tuple((*_vector(row), float(row[3])) for row in rows[:3])
         x, y, z = (approach_mm * row[2] for row in self._rows)
         self._up = (x, y, z)
+        library = native_library()
+        self._native = library and NativeDescent(
+            library, arm, flange_in_tool=self._flange_in_tool, base=self._rows, up=self._up
+        )
+
+    def quickly(
+        self, poses: Sequence[tuple[PlanarPose, float]], status: int | None
+    ) -> tuple[list[Axes | None], int | None]:
+        """Return for poses and heights the axes there, where the arm gets straight down to them in one configuration.
+
+        They are those that `ArmModel.inverse` gives, above first and then at the pose; the configuration is ``status``,
+        or the one of the first pose that is reached, and is returned too.  None where the arm does not get there so, or
+        where nothing is compiled: then it has to be asked.
+        """
+        if self._native is None:
+            return [None] * len(poses), status
+        return self._native.axes([(pose.x_mm, pose.y_mm, pose.a_deg, height) for pose, height in poses], status)
 
     def __call__(self, pose: PlanarPose, height_mm: float) -> Descent:
         """Return the flange in the root frame, above a pose and at it, with the tool unturned."""

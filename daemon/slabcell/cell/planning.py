@@ -80,8 +80,8 @@ class Planner:
         self._order = LayingOrder(recipe.template.slots)
         self._workspace = Workspace(recipe.template.slots, settings)
         self._clearance = Clearance(recipe, settings)
-        self._to_pick = DescentTo(settings.pick_base, settings.tool, settings.approach_mm)
-        self._to_place = DescentTo(settings.place_base, settings.tool, settings.approach_mm)
+        self._to_pick = DescentTo(settings.pick_base, settings.tool, settings.approach_mm, arm)
+        self._to_place = DescentTo(settings.place_base, settings.tool, settings.approach_mm, arm)
         x, y, _, _, b, c = settings.tool.as_tuple()
         # Several cups, or one beside the tool's axis, stand on the slab as the vision has chosen, and in no other way.
         free = list(recipe.grasp.cups_mm) == [(0.0, 0.0)]
@@ -90,6 +90,7 @@ class Planner:
         self._straight = math.hypot(x, y) < STRAIGHT_MM and math.hypot(b, c) < STRAIGHT_DEG
         # A slot is filled at the same point of the assembly every time: the arm is asked once.
         self._place_axes = lru_cache(PLACES_REMEMBERED)(self._at_place)
+        self._ways = lru_cache(PLACES_REMEMBERED)(self._find_ways)
         self._middles = [(float(x), float(y)) for x, y in (slot.centroid for slot in recipe.template.slots)]
 
     def plan(
@@ -115,19 +116,22 @@ class Planner:
                 refused.append(problem)
         after = self._restrict(possible, laid, refused)
         reached: list[_Reached | Pair] = []
-        usual: int | None = None  # the arm stays in the configuration that reaches the first slab, where it can
         done = set(laid)
-        for slot in self._order.order(possible, laid, after):
+        order = self._order.order(possible, laid, after)
+        # The arm stays in the configuration that reaches the first slab, where it can.
+        quick, usual = self._quickly([possible[slot] for slot in order]) if not after else ({}, None)
+        for slot in order:
             if after and not done.issuperset(after.get(slot, ())):
                 continue  # what had to come before it could not be reached: said below
             try:
                 if self._straight:
-                    way = self._to_pick(possible[slot].pick, self._recipe.height_mm(slot))
-                    at_pick = self._descend(way, "pick", usual)
-                    usual = self._arm.status_turn(at_pick)[0] if usual is None else usual
-                    places = self._alike(possible[slot], correction_mm)
-                    ways = self._places_reached(places, self._recipe.height_mm(slot), usual)
-                    reached.append(_Reached(possible[slot], at_pick[5], ways))
+                    part = possible[slot]
+                    at_pick = quick.get(slot) or self._at_pick(part, usual)
+                    if usual is None:
+                        usual = self._arm.status_turn(at_pick)[0]
+                        quick, _ = self._quickly([possible[item] for item in order], usual)
+                    ways = self._ways(slot, part.place, part.symmetry_order, correction_mm, usual)
+                    reached.append(_Reached(part, at_pick[5], ways))
                 else:
                     reached.append(self._first_reached(possible[slot], correction_mm))
             except ArmError as error:
@@ -177,17 +181,33 @@ class Planner:
             for item in found.refused:
                 del possible[item.slot]
 
-    def _places_reached(self, places: list[PlanarPose], height_mm: float, usual: int) -> list[tuple[float, PlanarPose]]:
+    def _quickly(
+        self, parts: Sequence[LocatedPart], usual: int | None = None
+    ) -> tuple[dict[int, Axes | None], int | None]:
+        """Return the axes at the picks as far as one configuration gets there and that is known at once; and which."""
+        if not self._straight:
+            return {}, None
+        poses = [(part.pick, self._recipe.height_mm(part.slot)) for part in parts]
+        picks, usual = self._to_pick.quickly(poses, usual)
+        return {part.slot: axes for part, axes in zip(parts, picks, strict=True)}, usual
+
+    def _at_pick(self, part: LocatedPart, usual: int | None) -> Axes:
+        return self._descend(self._to_pick(part.pick, self._recipe.height_mm(part.slot)), "pick", usual)
+
+    def _find_ways(
+        self, slot: int, place: PlanarPose, symmetry_order: int, correction_mm: tuple[float, float], usual: int
+    ) -> list[tuple[float, PlanarPose]]:
         """Return the ways to lay a part that the arm reaches, each with A6; raises ArmError if there is none."""
+        height_mm = self._recipe.height_mm(slot)
         found: list[tuple[float, PlanarPose]] = []
         problem: ArmError | None = None
-        for place in places:
-            if found and _same_point(found[0][1], place):
+        for alike in self._alike(slot, place, symmetry_order, correction_mm):
+            if found and _same_point(found[0][1], alike):
                 # Gripped in its middle: laid turned, only A6 differs, and by the turn itself.
-                found.append((found[0][0] + place.a_deg - found[0][1].a_deg, place))
+                found.append((found[0][0] + alike.a_deg - found[0][1].a_deg, alike))
                 continue
             try:
-                found.append((self._place_axes(place, height_mm, usual)[5], place))
+                found.append((self._place_axes(alike, height_mm, usual)[5], alike))
             except ArmError as error:
                 problem = problem or error
         if problem is not None and not found:
@@ -198,7 +218,8 @@ class Planner:
         """Return the poses of one part with a tool that is bent or beside the flange's axis.  Raises ArmError."""
         problem: ArmError | None = None
         height_mm = self._recipe.height_mm(part.slot)
-        for turn, place in product(self._few_turns_deg, self._alike(part, correction_mm)):
+        places = self._alike(part.slot, part.place, part.symmetry_order, correction_mm)
+        for turn, place in product(self._few_turns_deg, places):
             try:
                 self._descend(self._to_pick(_turned(part.pick, turn), height_mm), "pick", None)
                 self._place_axes(_turned(place, turn), height_mm, None)
@@ -210,13 +231,14 @@ class Planner:
         assert problem is not None  # noqa: S101  (there is at least one way, and none was reached)
         raise problem
 
-    def _alike(self, part: LocatedPart, correction_mm: tuple[float, float]) -> list[PlanarPose]:
+    def _alike(
+        self, slot: int, place: PlanarPose, symmetry_order: int, correction_mm: tuple[float, float]
+    ) -> list[PlanarPose]:
         """Return the ways to lay the part that look the same."""
         # Beside higher slabs the gripper is where `clearance` has looked, and nowhere else.
-        order = max(1, min(part.symmetry_order, 12)) if self._clearance.one_height else 1
-        place = part.place
+        order = max(1, min(symmetry_order, 12)) if self._clearance.one_height else 1
         found = [place]
-        middle = self._middles[part.slot]
+        middle = self._middles[slot]
         middle_x, middle_y = middle[0] + correction_mm[0], middle[1] + correction_mm[1]
         arm_x, arm_y = place.x_mm - middle_x, place.y_mm - middle_y
         for step in range(1, order):
@@ -230,7 +252,7 @@ class Planner:
         return self._descend(self._to_place(place, height_mm), "place", usual)
 
     def _descend(self, way: Descent, end: str, usual: int | None) -> Axes:
-        """Return the axes at a pose, in the ``usual`` configuration if that gets there.
+        """Return the axes at a pose, in the ``usual`` configuration if that gets there, or in the quickest that does.
 
         Raises ArmError unless the arm gets straight down to it in one configuration.  The error says at which ``end``
         of the slab's way that is, pick or place.
@@ -240,9 +262,15 @@ class Planner:
             with suppress(ArmError):  # another one may get there
                 return self._arm.inverse(at, near=self._arm.inverse(above, status=usual), status=usual)
         try:
-            axes = self._arm.inverse(above)
-            status, _ = self._arm.status_turn(axes)
-            return self._arm.inverse(at, near=axes, status=status)
+            quickest = self._arm.inverse(above)
+            try:
+                return self._arm.inverse(at, near=quickest, status=self._arm.status_turn(quickest)[0])
+            except ArmError:
+                others = [self._arm.status_turn(axes)[0] for axes in self._arm.all_solutions(above)]
+                for status in dict.fromkeys(others):  # the quickest first
+                    with suppress(ArmError):
+                        return self._arm.inverse(at, near=self._arm.inverse(above, status=status), status=status)
+                raise
         except ArmError as error:
             raise ArmError(f"{end}: {error}", error.fault) from error
 

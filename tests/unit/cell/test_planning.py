@@ -14,8 +14,9 @@ from slabcell.geometry import PlanarPose, Polygon, RigidTransform2D, normalize_d
 from slabcell.recipe import Recipe
 from slabcell.template import Template
 from slabcell.vision.result import ImagePose, LocatedPart, Sigma
-from slabcell_drivers.robot.arm import KR3_R540
+from slabcell_drivers.robot.arm import KR3_R540, ArmError
 from slabcell_drivers.robot.frame import Frame
+from slabcell_drivers.robot.native import native_library
 
 pytestmark = pytest.mark.unit
 
@@ -88,14 +89,53 @@ class Asked:
         return self.arm.inverse(pose, **known)
 
 
-def test_the_arm_stays_in_the_configuration_that_reaches_the_first_slab():
+@pytest.fixture(params=["compiled", "in Python"])
+def engine(request, monkeypatch):
+    """Plan with the compiled library, and without one."""
+    if request.param == "in Python":
+        monkeypatch.setattr("slabcell.cell.descent.native_library", lambda: None)
+    else:
+        assert native_library() is not None, "not compiled: python hatch_build.py"
+    return request.param
+
+
+def test_the_arm_stays_in_the_configuration_that_reaches_the_first_slab(engine):
     arm = Asked(KR3_R540)
     parts = [part(i, (20.0 * i, 30.0 * i, 50.0 * i), (100.0 * i + 15.0, 15.0)) for i in range(3)]
     slots = tuple(square(100.0 * index, 0) for index in range(3))
     recipe = Recipe.from_template(Template("squares", slots, "0" * 64), 10.0)
     assert len(Planner(recipe, SETTINGS, arm).plan(parts).pairs) == 3
-    assert arm.statuses[0] is None
-    assert set(arm.statuses[1:]) == {2}
+    if engine == "in Python":
+        assert arm.statuses.pop(0) is None
+    assert set(arm.statuses) == {2}
+
+
+def test_a_slab_that_is_got_down_to_in_a_slower_configuration_only_is_laid(engine):
+    pick = (-70.0, -24.0, 169.0)
+    down = Frame(*pick[:2], 10.0, pick[2], 0, 180)
+    above = KR3_R540.inverse(flange(SETTINGS, SETTINGS.pick_base, down, SETTINGS.approach_mm))
+    at, quickest = flange(SETTINGS, SETTINGS.pick_base, down), KR3_R540.status_turn(above)[0]
+    with pytest.raises(ArmError):
+        KR3_R540.inverse(at, near=above, status=quickest)
+    assert plan([part(pick=pick)]).count == 1
+
+
+def test_with_and_without_the_compiled_library_the_plan_is_the_same(monkeypatch):
+    rng = np.random.default_rng(5)
+    slots = tuple(square(40.0 * index, 0) for index in range(8))
+    recipe = Recipe.from_template(Template("squares", slots, "0" * 64), 10.0)
+    compiled = Planner(recipe, SETTINGS, KR3_R540)
+    monkeypatch.setattr("slabcell.cell.descent.native_library", lambda: None)
+    in_python = Planner(recipe, SETTINGS, KR3_R540)
+    refused = 0
+    for _ in range(200):
+        chosen = rng.permutation(8)[: rng.integers(1, 9)].tolist()
+        parts = [part(i, (*rng.uniform(-250, 450, 2), rng.uniform(-180, 180)), (40.0 * i + 15.0, 15.0)) for i in chosen]
+        one, other = compiled.plan(parts), in_python.plan(parts)
+        assert one.refused == other.refused
+        assert one.pairs == other.pairs
+        refused += len(one.refused)
+    assert 50 < refused < 500
 
 
 def wrist_travel(settings, pairs):
