@@ -1,7 +1,8 @@
 """How fast is the vision?  Full frames with 5, 20 and 100 slabs, one thread, beside what one writes with OpenCV first.
 
-    python benchmarks/vision_speed.py [--repeat N] [--slabs 5 20 100 400] [--numpy]
+    python benchmarks/vision_speed.py [--repeat N] [--slabs 5 20 100 400] [--scenes dresden irregular] [--numpy]
 
+The slabs of the full frames are flat.  Those of ``--scenes`` are the demo's, 10 mm thick: the camera sees their walls.
 Every pipeline runs in this process on the same pictures, by turns; the figures are median and least CPU time, which
 other load on the machine disturbs least.  Peers: the naive OpenCV pipeline (undistort the whole picture,
 Otsu, contours, matchShapes of all pairs, centroid and principal axis: no registration, no reject), once with maps for
@@ -11,19 +12,26 @@ no matching at all) where it is installed.  `memcpy` copies the frame once.
 
 import argparse
 import importlib.util
+import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from tests.integration.test_cell_simulated import CONFIG, true_calibration
+
 from shapes import irregular
 from slabcell.calibration.model import Calibration, CameraIdentity, Lens, TablePlane
 from slabcell.geometry import Points, Polygon, RigidTransform2D
-from slabcell.recipe import Recipe
+from slabcell.recipe import Recipe, load_recipe
 from slabcell.template import Template
 from slabcell.vision import Locator, kernel
+from slabcell_drivers.simulation import World, load_scene, render_world
 
 Picture = npt.NDArray[np.uint8]
 WIDTH, HEIGHT = 1920, 1200
@@ -58,6 +66,13 @@ def scene(calibration: Calibration, count: int, seed: int) -> tuple[Picture, Rec
         slots.append(Polygon.from_points(slot))
         outlines.append(turn.apply(slot - centre) + middle)
     return draw(calibration, outlines, random), Recipe.from_template(Template("speed", tuple(slots), ""), 0.0)
+
+
+def demo(name: str) -> tuple[str, Calibration, Picture, Recipe]:
+    """Return a scene of the demo as its camera sees it, and its recipe."""
+    world = World(load_scene(CONFIG / "scenes" / f"{name}.toml"), 7)
+    recipe = load_recipe(CONFIG / "recipes" / f"{name}.toml")
+    return f"scene {name}", true_calibration(world), render_world(world, 1), recipe
 
 
 def draw(calibration: Calibration, outlines: list[Points], random: np.random.Generator) -> Picture:
@@ -139,16 +154,16 @@ def main() -> None:
     """Run the benchmark and print its table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeat", type=int, default=30)
-    parser.add_argument("--slabs", type=int, nargs="+", default=[5, 20, 100])
+    parser.add_argument("--slabs", type=int, nargs="*", default=[5, 20, 100])
+    parser.add_argument("--scenes", nargs="*", default=[])
     parser.add_argument("--numpy", action="store_true", help="use the reference implementation instead of the kernel")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     if options.numpy:
         kernel.engine = kernel.NumpyEngine
     print(f"edges are measured by: {kernel.engine().name}; {WIDTH}x{HEIGHT}, one thread")
-    calibration = camera()
-    for count in options.slabs:
-        picture, recipe = scene(calibration, count, seed=count)
+    frames = [(f"{count} slabs", camera(), *scene(camera(), count, seed=count)) for count in options.slabs]
+    for title, calibration, picture, recipe in frames + [demo(name) for name in options.scenes]:
         locator = Locator(calibration, recipe)
         target = np.empty_like(picture)
         quick, plain = naive(calibration, recipe, prepared=True), naive(calibration, recipe, prepared=False)
@@ -163,7 +178,7 @@ def main() -> None:
             work["skimage"] = lambda run=peer, picture=picture: run(picture)
         found = measure(work, options.repeat)
         result = locator.locate(picture)
-        print(f"{count} slabs, {len(result.parts)} located:")
+        print(f"{title}, {len(result.parts)} located:")
         ours = found["slabcell"][0]
         for name, (median, least) in found.items():
             ratio = (

@@ -5,8 +5,6 @@ The outline is sampled at equal arc lengths; everything that matching compares c
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from slabcell.geometry import Points, Polygon
 from slabcell.vision.blobs import Blobs
 from slabcell.vision.kernel import engine
@@ -14,12 +12,7 @@ from slabcell.vision.outline import Rings
 from slabcell.vision.plane import PlaneView
 from slabcell.vision.shapes import SAMPLES, Shapes
 
-__all__ = ["MIN_WALL_PX", "describe_blobs", "describe_polygons", "describe_slots"]
-
-# Samples of an outline from which the visible walls are taken away; finer, because corners shall stay.
-WALL_SAMPLES = 512
-# Visible walls narrower than this change a contour less than its own noise.
-MIN_WALL_PX = 0.7
+__all__ = ["describe_blobs", "describe_polygons", "describe_slots"]
 
 
 def describe_polygons(polygons: Sequence[Points]) -> Shapes:
@@ -40,33 +33,5 @@ def describe_blobs(blobs: Blobs, plane: PlaneView, *, without_walls: bool) -> Sh
     """
     if without_walls and blobs:
         # Which way an outline faces is plain from its simplified polygon alone.
-        seen = Rings.of([blob.polygon for blob in blobs])
-        rings = seen.moved(engine().to_plane(plane.grid, seen.points)).counter_clockwise()
-        return engine().describe(_without_walls(rings, plane))
+        return engine().describe(engine().strip_walls(plane, Rings.of([blob.polygon for blob in blobs])))
     return engine().describe_pixels(plane.grid, blobs.points, blobs.begins, blobs.ends)
-
-
-def widest_wall_px(plane: PlaneView) -> float:
-    """Return how wide the walls of slabs are seen at most, anywhere in the picture."""
-    camera = plane.calibration.camera
-    corners = np.array([[0, 0], [camera.width, 0], [0, camera.height], [camera.width, camera.height]], float)
-    shift = plane.foot_shift(plane.from_pixels(corners))
-    return float(np.max(np.hypot(shift[:, 0], shift[:, 1]))) / plane.mm_per_px
-
-
-def _without_walls(rings: Rings, plane: PlaneView) -> Rings:
-    """Return the outlines of the upper faces alone.
-
-    The silhouette of a slab is its upper face swept along the shift of its foot: where the outline faces that way it
-    has moved by the shift, elsewhere it is the upper face's own.
-    """
-    shift = plane.foot_shift(rings.moments[1])
-    size = np.hypot(shift[:, 0], shift[:, 1])
-    points = rings.resampled(WALL_SAMPLES)
-    tangent = np.roll(points, -2, axis=1) - np.roll(points, 2, axis=1)
-    length = np.maximum(np.hypot(tangent[:, :, 0], tangent[:, :, 1]), 1e-9)
-    cross = tangent[:, :, 1] * shift[:, None, 0] - tangent[:, :, 0] * shift[:, None, 1]
-    facing = np.clip(cross / (length * np.maximum(size, 1e-9)[:, None]) / 0.3, 0.0, 1.0)
-    facing[size < MIN_WALL_PX * plane.mm_per_px] = 0.0
-    stripped = points - facing[:, :, None] * shift[:, None, :]
-    return Rings(stripped.reshape(-1, 2), np.arange(len(rings) + 1) * WALL_SAMPLES)

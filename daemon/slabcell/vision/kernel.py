@@ -23,6 +23,7 @@ from slabcell.vision import (
     registration,
     shapes,
     survey,
+    walls,
 )
 from slabcell.vision.contours import Contours
 from slabcell.vision.edge_profile import EdgeLines, EdgeShifts, ProfileModel
@@ -66,6 +67,10 @@ class Engine(Protocol):
 
     def to_plane(self, table: PixelTable, pixels: Points) -> Points:
         """See `plane.PixelTable.at`."""
+        ...
+
+    def strip_walls(self, plane: PlaneView, seen: Rings) -> Rings:
+        """See `walls.strip_walls`."""
         ...
 
     def describe(self, rings: Rings) -> Shapes:
@@ -133,6 +138,10 @@ class NumpyEngine:
     def to_plane(self, table: PixelTable, pixels: Points) -> Points:
         """See `plane.PixelTable.at`."""
         return table.at(pixels)
+
+    def strip_walls(self, plane: PlaneView, seen: Rings) -> Rings:
+        """See `walls.strip_walls`."""
+        return walls.strip_walls(plane, seen)
 
     def describe(self, rings: Rings) -> Shapes:
         """See `shapes.describe`."""

@@ -12,7 +12,7 @@ from slabcell.calibration.model import Calibration
 from slabcell.geometry import Polygon
 from slabcell.recipe import Recipe
 from slabcell.vision.ambiguity import kinds_of
-from slabcell.vision.describe import MIN_WALL_PX, describe_slots, widest_wall_px
+from slabcell.vision.describe import describe_slots
 from slabcell.vision.edges import EdgePieces, cut_edges
 from slabcell.vision.grasp import Grasp, choose_grasp
 from slabcell.vision.matching import MatchLimits
@@ -21,6 +21,7 @@ from slabcell.vision.part_poses import SlotTable
 from slabcell.vision.plane import PlaneView
 from slabcell.vision.shapes import Shapes
 from slabcell.vision.symmetry import symmetry_order
+from slabcell.vision.walls import MIN_WALL_PX, widest_wall_px
 
 __all__ = ["Prepared"]
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from slabcell.geometry import RigidTransform2D
-from slabcell.vision import contours, kernel, matching, native, part_poses, registration, shapes, survey
+from slabcell.vision import contours, kernel, matching, native, part_poses, registration, shapes, survey, walls
 from slabcell.vision.describe import describe_polygons
 from slabcell.vision.kernel import NumpyEngine
 from slabcell.vision.matching import MatchLimits
@@ -109,6 +109,41 @@ def stars(seed: int, count: int) -> list[np.ndarray]:
     angle = np.sort(random.uniform(0, 2 * np.pi, (count, 40)), axis=1)
     radius = 40 + 10 * np.cos(3 * angle + seed) + random.normal(0, 2, angle.shape)
     return [np.column_stack([r * np.cos(a), r * np.sin(a)]) for a, r in zip(angle, radius, strict=True)]
+
+
+@pytest.mark.parametrize("height_mm", [0.0, 2.0, 20.0])
+def test_the_outlines_without_walls_agree(engine: NativeEngine, height_mm: float):
+    plane = PlaneView(calibration(), height_mm)
+    random = np.random.default_rng(4)
+    camera = plane.calibration.camera
+    middles = random.uniform(150, [camera.width - 150, camera.height - 150], (6, 2))
+    outlines = [2.5 * star + middle for star, middle in zip(stars(2, 6), middles, strict=True)]
+    outlines[1] = outlines[1][::-1]
+    outlines += [np.array([[300.0, 300.0], [420.0, 310.0], [350.0, 420.0]]), np.full((1, 2), 333.0)]
+    seen = Rings.of(outlines)
+    assert plane.forward is not None
+    found, expected = engine.strip_walls(plane, seen), walls.strip_walls(plane, seen)
+    assert np.array_equal(found.starts, expected.starts)
+    assert np.allclose(found.points, expected.points, atol=1e-3)
+    moved = np.hypot(
+        *(
+            expected.points
+            - seen.moved(plane.from_pixels(seen.points))
+            .counter_clockwise()
+            .resampled(walls.WALL_SAMPLES)
+            .reshape(-1, 2)
+        ).T
+    )
+    assert (moved.max() > 0.3) == (height_mm > 10.0)  # a low wall is less than a pixel
+
+
+def test_where_the_table_does_not_reach_the_reference_strips_the_walls(engine: NativeEngine):
+    plane = PlaneView(calibration(), 20.0)
+    far = Rings.of([np.array([[-9e3, 0.0], [-8e3, 0.0], [-8e3, 900.0]])])
+    found, expected = engine.strip_walls(plane, far), walls.strip_walls(plane, far)
+    assert np.array_equal(found.points, expected.points)
+    nothing = engine.strip_walls(plane, Rings.of([]))
+    assert (len(nothing), len(nothing.points)) == (0, 0)
 
 
 def test_the_descriptions_agree(engine: NativeEngine):

@@ -71,6 +71,7 @@ from slabcell.vision.registration import (
 from slabcell.vision.shapes import ENOUGH, HARMONICS, SAMPLES, Shapes, Spectra
 from slabcell.vision.survey import Survey, step_of
 from slabcell.vision.thresholds import LOGARITHMS, Split
+from slabcell.vision.walls import FACING, MIN_WALL_PX, WALL_SAMPLES, strip_walls
 
 __all__ = ["FAST_LIBRARY", "LIBRARY", "NativeEngine"]
 
@@ -172,6 +173,21 @@ class NativeEngine:
         pixels, found = plain(pixels), np.empty((len(pixels), 2))
         self._kernel.to_plane(at(table.mm), rows, columns, table.pitch_px, len(pixels), at(pixels), at(found))
         return found
+
+    def strip_walls(self, plane: PlaneView, seen: Rings) -> Rings:
+        """See `walls.strip_walls`; shifts to 1e-3 px, where the plane has a table."""
+        if plane.forward is not None and len(seen):
+            rows, columns, _ = plane.grid.mm.shape
+            points, starts = plain(seen.points), plain(seen.starts, np.int64)
+            scratch = self._room(3 * int(np.diff(starts).max()) + 2 * WALL_SAMPLES)
+            found = np.empty((len(seen) * WALL_SAMPLES, 2))
+            if self._kernel.strip_walls(
+                *(at(plane.grid.mm), rows, columns, plane.grid.pitch_px, *of_forward(plane.forward).addresses),
+                *(len(seen), at(starts), at(points), WALL_SAMPLES, MIN_WALL_PX * plane.mm_per_px, FACING),
+                *(at(scratch), at(found)),
+            ):
+                return Rings(found, np.arange(len(seen) + 1) * WALL_SAMPLES)
+        return strip_walls(plane, seen)
 
     def describe(self, rings: Rings) -> Shapes:
         """See `shapes.describe`."""

@@ -12,7 +12,7 @@
 #include <string.h>
 
 /* As in kernel.py: a library of another version is refused. */
-#define KERNEL_VERSION 8
+#define KERNEL_VERSION 9
 
 /* Pictures are larger than the processor's cache: what will be read next is asked for early. */
 #if defined(__GNUC__)
@@ -64,6 +64,7 @@ typedef struct {
     int flat; /* the upper plane is the work plane */
 } Forward;
 
+int slabcell_seen(const Forward *table, double x, double y, double pixels[4]);
 int slabcell_to_pixels(const Forward *table, int64_t count, const double *points, double *pixels);
 int slabcell_local_maps(const Forward *table, int count, const double *nodes, const double *inverse, int places,
                         const double *centres, const double *sizes, double *maps);

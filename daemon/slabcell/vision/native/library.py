@@ -10,7 +10,7 @@ LIBRARY: Final = Path(__file__).with_name("_kernel.so")
 FAST_LIBRARY: Final = Path(__file__).with_name("_kernel_v3.so")
 FAST_LEVEL: Final = 3
 # As in kernel.h.
-VERSION: Final = 8
+VERSION: Final = 9
 
 _POINTER, _SIZE, _INT, _LONG, _REAL = ctypes.c_void_p, ctypes.c_ssize_t, ctypes.c_int, ctypes.c_int64, ctypes.c_double
 _PICTURE = (_POINTER, _SIZE, _INT, _INT)
@@ -50,6 +50,12 @@ class Functions:
             result=_LONG,
         )
         self.to_plane = function("to_plane", *_GRID, _LONG, _POINTER, _POINTER)
+        self.strip_walls = function(
+            "strip_walls",
+            *(*_GRID, _POINTER, _LONG, _POINTER, _POINTER),
+            *(_INT, _REAL, _REAL, _POINTER, _POINTER),
+            result=_INT,
+        )
         self.describe = function("describe", *_GRID, _LONG, *[_POINTER] * 3, _LONG, _INT, *[_POINTER] * 10)
         self.match = function("match", _LONG, *[_POINTER] * 5, _LONG, *[_POINTER] * 12, _LONG, _POINTER, result=_LONG)
         self.local_maps = function("local_maps", _POINTER, _INT, *[_POINTER] * 2, _INT, *[_POINTER] * 3, result=_INT)

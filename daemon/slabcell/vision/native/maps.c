@@ -37,6 +37,15 @@ static inline void seen_at(const Forward *t, double x, double y, const int chann
     }
 }
 
+/* The pixels of top and foot of one point of the table.  Returns 0 if the table does not hold it. */
+int slabcell_seen(const Forward *table, double x, double y, double pixels[4])
+{
+    if (!holds(table, x, y, 0.0))
+        return 0;
+    seen_at(table, x, y, 4, pixels);
+    return 1;
+}
+
 /* `pixels` (n, 2): where points (n, 2) of the upper plane are seen.  Returns 0 if the table does not hold them all. */
 int slabcell_to_pixels(const Forward *table, int64_t count, const double *points, double *pixels)
 {

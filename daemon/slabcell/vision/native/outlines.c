@@ -134,6 +134,38 @@ static void resample(const double *ring, int64_t points, int count, double *alon
     }
 }
 
+/* Outlines in pixels, each from `starts` on, become those of the upper faces, `count` points each.  Walls that are seen
+ * less than `least_mm` wide stay.  `scratch` has room for three numbers a point of the longest, and two a sample.  Returns
+ * 0 if the table does not hold them all. */
+int slabcell_strip_walls(const double *grid, int rows, int columns, double pitch, const Forward *table, int64_t rings,
+                         const int64_t *starts, const double *pixels, int count, double least_mm, double facing,
+                         double *scratch, double *stripped)
+{
+    for (int64_t r = 0; r < rings; r++) {
+        const int64_t size = starts[r + 1] - starts[r];
+        double *ring = scratch, *samples = scratch + 2 * size, *along = samples + 2 * count;
+        double *mine = stripped + 2 * (ptrdiff_t)count * r;
+        double centroid[2], inertia, seen[4], ends[4];
+        slabcell_to_plane(grid, rows, columns, pitch, size, pixels + 2 * starts[r], ring);
+        measure(ring, size, centroid, &inertia);
+        if (!slabcell_seen(table, centroid[0], centroid[1], seen))
+            return 0;
+        slabcell_to_plane(grid, rows, columns, pitch, 2, seen, ends);
+        const double sx = ends[2] - ends[0], sy = ends[3] - ends[1], width = sqrt(sx * sx + sy * sy);
+        resample(ring, size, count, along, samples);
+        for (int i = 0; i < count; i++) {
+            const double *after = samples + 2 * ((i + 2) % count), *before = samples + 2 * ((i + count - 2) % count);
+            const double tx = after[0] - before[0], ty = after[1] - before[1];
+            const double length = fmax(sqrt(tx * tx + ty * ty), 1e-9);
+            double share = width < least_mm ? 0.0 : (ty * sx - tx * sy) / (length * fmax(width, 1e-9)) / facing;
+            share = share < 0.0 ? 0.0 : share > 1.0 ? 1.0 : share;
+            mine[2 * i] = samples[2 * i] - share * sx;
+            mine[2 * i + 1] = samples[2 * i + 1] - share * sy;
+        }
+    }
+    return 1;
+}
+
 /* Of each ring, points `begins` to `ends` of `points`: `count` samples minus their mean, the mean, area and inertia, and
  * centroid.  The points are mm, or pixels if there is a `grid`; of long rings only every second or third is looked at, so
  * that `enough` are left.  `scratch` has room for two of the longest ring.  Then their spectra, as in matching.c. */
