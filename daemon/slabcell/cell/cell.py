@@ -15,24 +15,21 @@ from functools import partial
 
 import structlog
 
-from slabcell.calibration.file import from_document as calibration_from_document
-from slabcell.calibration.file import to_document as calibration_to_document
 from slabcell.calibration.model import Calibration
 from slabcell.catalogue import Fault, entry
 from slabcell.cell.afterwards import Afterwards
 from slabcell.cell.alarms import Alarms
-from slabcell.cell.bundle import BundleContext
 from slabcell.cell.bundle_store import BundleWriter
 from slabcell.cell.cycles import Cycles
 from slabcell.cell.desk import JobDesk
 from slabcell.cell.events import CycleRecord, Event, StateChanged, Subscriber
 from slabcell.cell.execution import Execution
-from slabcell.cell.eyes import Eyes, HouseEyes
+from slabcell.cell.eyes import Eyes
 from slabcell.cell.handover import Handover
 from slabcell.cell.ledger import Ledger
 from slabcell.cell.leisure import Leisure
 from slabcell.cell.looking import Looking
-from slabcell.cell.planning import Planner
+from slabcell.cell.outfit import Outfit
 from slabcell.cell.preparing import Preparation
 from slabcell.cell.records import Job, JobState, PlacementRecord
 from slabcell.cell.requests import Requests
@@ -72,35 +69,23 @@ class Cell:
         eyes: Eyes | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        calibration = _as_kept(calibration)
-        self.recipe = recipe
-        self.settings = settings
+        self._outfit = Outfit.of(recipe, calibration, settings, arm, eyes=eyes)
         self._afterwards = Afterwards()
         self.alarms = Alarms(self._emit, later=self._afterwards.do, clock=clock)
         self._conditions = Conditions(suspended=SuspendedCause.ROBOT_ABSENT)
-        self._calibration: Calibration | None = calibration
-        self._arm = arm
         self._machine = StateMachine(
             lambda before, after, cause: self._tell(StateChanged(before, after, cause)), later=self._afterwards.do
         )
         self._preparation = Preparation(self._machine, self.alarms, self._conditions)
         self._desk = JobDesk(ledger, recipe, self._emit)
         self._cycles = Cycles(
-            *(ledger, _context(recipe, calibration, settings, arm) if bundles else None, bundles),
+            *(ledger, self._outfit.context() if bundles else None, bundles),
             emit=self._emit,
             catch_up=self._afterwards.catch_up,
             failed=lambda detail: self.alarms.come(Fault.BUNDLE_UNWRITABLE, detail),
             kept=lambda: self.alarms.cease(Fault.BUNDLE_UNWRITABLE),
         )
-        self._looking = Looking(
-            camera,
-            calibration,
-            eyes=eyes or _eyes(calibration, recipe),
-            planner=Planner(recipe, settings, arm),
-            settings=settings,
-            emit=self._emit,
-            clock=clock,
-        )
+        self._looking = Looking(camera, self._outfit, emit=self._emit, clock=clock)
         self._execution = Execution(
             *(self._machine, self._desk, self._looking, self._cycles),
             alarms=self.alarms,
@@ -131,6 +116,21 @@ class Cell:
     def state(self) -> CellState:
         """Where the cell stands."""
         return self._machine.state
+
+    @property
+    def recipe(self) -> Recipe:
+        """What is laid."""
+        return self._outfit.recipe
+
+    @property
+    def settings(self) -> CellSettings:
+        """How the cell is set up."""
+        return self._outfit.settings
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """What pixels become millimetres with; None as long as there is none."""
+        return self._outfit.calibration
 
     @property
     def held(self) -> HeldCause | None:
@@ -166,11 +166,6 @@ class Cell:
     def present_cycle(self) -> CycleRecord | None:
         """The cycle that is on its way, if one is."""
         return self._cycles.present
-
-    @property
-    def calibration(self) -> Calibration | None:
-        """What pixels become millimetres with; None as long as there is none."""
-        return self._calibration
 
     @property
     def forgiven_up_to(self) -> int:
@@ -216,14 +211,14 @@ class Cell:
 
     async def start(self) -> None:
         """Become ready if there is a calibration, without moving anything.  Raises CalibrationError or LedgerError."""
-        if self._calibration is not None:
-            self._calibration.require_plane()
+        if self.calibration is not None:
+            self.calibration.require_plane()
         await self._machine.fire(CellEvent.INITIALIZE, "start")
         abandoned = await self._desk.take_up()
         if abandoned is not None:
             self.alarms.come(Fault.RECIPE_CHANGED, abandoned)
         await self._serving.unresolved()
-        await self._preparation.finish(self._calibration, self.recipe.name)
+        await self._preparation.finish(self.calibration, self.recipe.name)
 
     async def stop(self) -> None:
         """Take back what the robot has not begun with, and end every thread; may be called twice.
@@ -297,7 +292,7 @@ class Cell:
         async with self._turn():
             await self._machine.fire(CellEvent.INITIALIZE, f"resumed by {by}")
             self._serving.stepping = step
-            await self._preparation.finish(self._calibration, self.recipe.name)
+            await self._preparation.finish(self.calibration, self.recipe.name)
 
     async def clear(self, by: str = "a person") -> None:
         """Leave the error state after a person has removed its cause."""
@@ -306,7 +301,7 @@ class Cell:
             for alarm in self.alarms.standing:
                 if entry(alarm.fault).category in {"ledger", "service"}:
                     self.alarms.settle(alarm.fault, f"cleared by {by}")
-            await self._preparation.finish(self._calibration, self.recipe.name)
+            await self._preparation.finish(self.calibration, self.recipe.name)
 
     async def step(self) -> None:
         """Halt after the slab that is under way or comes next.  Raises SlabcellError where nothing can be offered."""
@@ -367,11 +362,10 @@ class Cell:
     ) -> None:
         calibration_given = calibration is not None
         recipe, settings = recipe or self.recipe, settings or self.settings
-        calibration = _as_kept(calibration or self._calibration)
+        calibration = calibration or self.calibration
         if calibration is not None:
             calibration.require_plane()
-        eyes = await asyncio.to_thread(_eyes, calibration, recipe)
-        planner = await asyncio.to_thread(Planner, recipe, settings, self._arm)
+        outfit = await asyncio.to_thread(Outfit.of, recipe, calibration, settings, self._outfit.arm)
         async with self._turn():
             if self.state not in _AT_LEISURE:
                 msg = f"the cell is {self.state}: this changes only when it is ready or halted"
@@ -384,10 +378,10 @@ class Cell:
                 raise SlabcellError(msg, number=Fault.NOT_READY)
             if recipe is not self.recipe:
                 self._desk.change(recipe)
-            self._looking.change(calibration, eyes, planner, settings)
+            self._outfit = outfit
+            self._looking.change(outfit)
             self._execution.change(settings)
-            self._cycles.change(_context(recipe, calibration, settings, self._arm))
-            self.recipe, self.settings, self._calibration = recipe, settings, calibration
+            self._cycles.change(outfit.context())
             if self.state is CellState.INITIALIZED:
                 await self._preparation.finish(calibration, recipe.name)
             else:
@@ -413,23 +407,3 @@ class Cell:
         """Return when all that the robot has asked until now is done: the ledger holds it, and who watches knows."""
         await self._requests.settled()
         self._afterwards.catch_up()
-
-
-def _as_kept(calibration: Calibration | None) -> Calibration | None:
-    """Return a calibration as a bundle holds it, to the last bit: the way arrays lie in memory changes rounding."""
-    return (
-        None
-        if calibration is None
-        else calibration_from_document(calibration_to_document(calibration), "the calibration")
-    )
-
-
-def _eyes(calibration: Calibration | None, recipe: Recipe) -> Eyes | None:
-    return None if calibration is None else HouseEyes(calibration, recipe)
-
-
-def _context(
-    recipe: Recipe, calibration: Calibration | None, settings: CellSettings, arm: ArmModel
-) -> BundleContext | None:
-    """Return what bundles need; without a calibration there is no cycle to be kept."""
-    return None if calibration is None else BundleContext(recipe, calibration, settings, arm)

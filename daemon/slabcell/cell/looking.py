@@ -10,16 +10,15 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import TypeVar
 
-from slabcell.calibration.model import Calibration
 from slabcell.catalogue import Fault
 from slabcell.cell.desk import Slots
 from slabcell.cell.events import CycleRecord, Event, FrameTaken, PartsLocated, StageEnded
 from slabcell.cell.executor import end_executor
 from slabcell.cell.eyes import Eyes
-from slabcell.cell.planning import Plan, Planner
+from slabcell.cell.outfit import Outfit
+from slabcell.cell.planning import Plan
 from slabcell.cell.preparing import NO_CALIBRATION
 from slabcell.cell.records import PlacementRecord
-from slabcell.cell.settings import CellSettings
 from slabcell.errors import CalibrationError, ImageError, SlabcellError
 from slabcell.vision.result import LocateResult
 from slabcell_drivers.camera.protocol import (
@@ -65,31 +64,20 @@ class Looking:
     def __init__(
         self,
         camera: Camera,
-        calibration: Calibration | None,
+        outfit: Outfit,
         *,
-        eyes: Eyes | None,
-        planner: Planner,
-        settings: CellSettings,
         emit: Callable[[Event], None],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._camera = camera
-        self._calibration = calibration
-        self._eyes = eyes
-        self._planner = planner
-        self._settings = settings
+        self._outfit = outfit
         self._emit = emit
         self._clock = clock
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="slabcell-vision")
 
-    def change(
-        self, calibration: Calibration | None, eyes: Eyes | None, planner: Planner, settings: CellSettings
-    ) -> None:
+    def change(self, outfit: Outfit) -> None:
         """Look otherwise from the next picture on."""
-        self._calibration = calibration
-        self._eyes = eyes
-        self._planner = planner
-        self._settings = settings
+        self._outfit = outfit
 
     async def close(self) -> None:
         """End the worker thread; waits for what it computes.  May be called twice."""
@@ -100,7 +88,7 @@ class Looking:
         asked_s = self._clock()
         with self._stage(cycle, "acquire"):
             try:
-                frame = await self._camera.snap(self._settings.camera_timeout_s)
+                frame = await self._camera.snap(self._outfit.settings.camera_timeout_s)
             except CameraError as error:
                 fault = next(fault for kind, fault in _CAMERA_FAULTS if isinstance(error, kind))
                 raise LookError(fault, str(error)) from error
@@ -110,8 +98,8 @@ class Looking:
             raise LookError(Fault.CAMERA_STALE, detail)
         height, width = frame.pixels.shape[:2]
         try:
-            if self._calibration is not None:
-                self._calibration.require_size(width, height, f"frame {frame.frame_id}")
+            if self._outfit.calibration is not None:
+                self._outfit.calibration.require_size(width, height, f"frame {frame.frame_id}")
         except CalibrationError as error:
             raise LookError(Fault.CALIBRATION_MISMATCH, str(error)) from error
         cycle.frame, cycle.frame_id = frame, frame.frame_id
@@ -123,12 +111,12 @@ class Looking:
 
         The cycle then gets the vision's result.  Raises `LookError`, at the latest when it is waited for.
         """
-        eyes = self._require_eyes()
+        eyes, outfit = self._require_eyes(), self._outfit
 
         def work() -> tuple[LocateResult, Plan, float]:
-            found = eyes.locate(frame.pixels, area_mm=self._settings.pick_area, free_slots=slots.free)
+            found = eyes.locate(frame.pixels, area_mm=outfit.settings.pick_area, free_slots=slots.free)
             began_s = self._clock()
-            planned = self._planner.plan(found.parts, laid=slots.laid, correction_mm=cycle.correction_mm)
+            planned = outfit.planner.plan(found.parts, laid=slots.laid, correction_mm=cycle.correction_mm)
             return found, planned, (self._clock() - began_s) * 1000
 
         return self._located(self._compute(work), cycle)
@@ -148,24 +136,24 @@ class Looking:
         self, frame: ImageFrame, slots: Collection[int], cycle: CycleRecord
     ) -> tuple[PlacementRecord, ...]:
         """Return how the slabs lie in these slots.  Raises `LookError`."""
-        eyes = self._require_eyes()
+        eyes, assembly = self._require_eyes(), self._outfit.settings.assembly_in_table
         with self._stage(cycle, "measure"):
             cycle.placements = await self._compute(
-                lambda: eyes.measure(frame.pixels, assembly_in_table=self._settings.assembly_in_table, slots=slots)
+                lambda: eyes.measure(frame.pixels, assembly_in_table=assembly, slots=slots)
             )
         return cycle.placements
 
     def _require_eyes(self) -> Eyes:
-        if self._eyes is None:
+        if self._outfit.eyes is None:
             raise LookError(Fault.CALIBRATION_MISSING, NO_CALIBRATION)
-        return self._eyes
+        return self._outfit.eyes
 
     def _compute(self, work: Callable[[], _T]) -> Awaitable[_T]:
         """Begin now, in the worker thread.  A thread cannot be stopped: what comes after the deadline is dropped."""
         return self._computed(asyncio.get_running_loop().run_in_executor(self._worker, work))
 
     async def _computed(self, running: Awaitable[_T]) -> _T:
-        timeout_s = self._settings.vision_timeout_s
+        timeout_s = self._outfit.settings.vision_timeout_s
         try:
             async with asyncio.timeout(timeout_s):
                 return await running

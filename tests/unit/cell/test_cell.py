@@ -277,7 +277,6 @@ async def test_a_pose_that_the_robot_cannot_reach_leaves_the_others_valid(bench)
 
 
 async def test_a_slot_that_fails_too_often_is_left_out(bench):
-    bench.cell.settings = bench.settings
     await bench.robot.hello()
     bench.eyes.on_table = {0}
     for _ in range(bench.settings.attempts_per_slot):

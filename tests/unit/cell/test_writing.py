@@ -105,7 +105,9 @@ async def test_stopping_meanwhile_leaves_no_result_that_the_robot_could_act_on(b
 
 
 async def test_a_write_that_takes_longer_than_the_robot_may_wait_is_no_loss(bench, slow):
-    bench.cell.settings = replace(bench.cell.settings, busy_timeout_s=0.05)
+    await bench.stop()
+    bench.settings = replace(bench.settings, busy_timeout_s=0.05)
+    await bench.start()
     await bench.robot.hello()
     async with slow():
         await told(bench, RequestType.TRIGGER)
