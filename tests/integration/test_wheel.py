@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -72,6 +73,21 @@ def test_the_wheel_carries_programs_configuration_and_pages(installed: Path, tmp
         "assert (f('slabcell.hmi') / 'static' / 'report.css').is_file()\n"
     )
     subprocess.run([str(installed / "python"), "-c", code], cwd=tmp_path, check=True, timeout=60)
+
+
+@pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler here")
+def test_the_wheel_carries_the_compiled_libraries(installed: Path, tmp_path: Path) -> None:
+    code = (
+        "from slabcell.vision.kernel import implementation\n"
+        "from slabcell_drivers.robot.native import LIBRARY, native_library\n"
+        "print(implementation(), native_library() is not None, LIBRARY)\n"
+    )
+    done = subprocess.run(
+        [str(installed / "python"), "-c", code], cwd=tmp_path, check=True, timeout=60, capture_output=True, text=True
+    )
+    vision, descents, where = done.stdout.split()
+    assert (vision, descents) == ("native", "True")
+    assert str(installed.parent) in where
 
 
 def test_the_demo_runs_from_the_wheel(installed: Path, tmp_path: Path) -> None:
