@@ -45,6 +45,21 @@ def written(bench):
         return [state for (state,) in book.execute("SELECT state FROM offers ORDER BY result_id")]
 
 
+async def test_the_write_begins_when_the_answer_is_taken(bench, monkeypatch):
+    order, write = [], bench.ledger.run
+
+    def run(work):
+        order.append("write")
+        return write(work)
+
+    await bench.robot.hello()
+    monkeypatch.setattr(bench.ledger, "run", run)
+    await told(bench, RequestType.TRIGGER)
+    order.append("answered")
+    await bench.cell.settled()
+    assert order == ["answered", "write"]
+
+
 async def test_the_number_of_results_is_told_while_they_are_written_and_the_next_request_waits_for_them(bench, slow):
     await bench.robot.hello()
     async with slow():
