@@ -162,7 +162,8 @@ def main() -> None:
     if options.numpy:
         kernel.engine = kernel.NumpyEngine
     print(f"edges are measured by: {kernel.engine().name}; {WIDTH}x{HEIGHT}, one thread")
-    frames = [(f"{count} slabs", camera(), *scene(camera(), count, seed=count)) for count in options.slabs]
+    flat = camera()
+    frames = [(f"{count} slabs", flat, *scene(flat, count, seed=count)) for count in options.slabs]
     for title, calibration, picture, recipe in frames + [demo(name) for name in options.scenes]:
         locator = Locator(calibration, recipe)
         target = np.empty_like(picture)

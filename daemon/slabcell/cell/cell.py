@@ -74,7 +74,7 @@ class Cell:
         self.alarms = Alarms(self._emit, later=self._afterwards.do, clock=clock)
         self._conditions = Conditions(suspended=SuspendedCause.ROBOT_ABSENT)
         self._machine = StateMachine(
-            lambda before, after, cause: self._tell(StateChanged(before, after, cause)), later=self._afterwards.do
+            lambda before, after, cause: self._emit(StateChanged(before, after, cause)), later=self._afterwards.do
         )
         self._preparation = Preparation(self._machine, self.alarms, self._conditions)
         self._desk = JobDesk(ledger, recipe, self._emit)

@@ -118,7 +118,8 @@ class Planner:
         reached: list[_Reached | Pair] = []
         done = set(laid)
         order = self._order.order(possible, laid, after)
-        # The arm stays in the configuration that reaches the first slab, where it can.
+        # The arm stays in the configuration that reaches the first slab, where it can.  Which is the first is known
+        # beforehand only where none has to wait for another.
         quick, usual = self._quickly([possible[slot] for slot in order]) if not after else ({}, None)
         for slot in order:
             if after and not done.issuperset(after.get(slot, ())):
@@ -207,7 +208,7 @@ class Planner:
                 found.append((found[0][0] + alike.a_deg - found[0][1].a_deg, alike))
                 continue
             try:
-                found.append((self._place_axes(alike, height_mm, usual)[5], alike))
+                found.append((self._at_place(alike, height_mm, usual)[5], alike))
             except ArmError as error:
                 problem = problem or error
         if problem is not None and not found:

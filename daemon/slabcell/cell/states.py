@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import partial
 
 import structlog
 from transitions.core import MachineError
@@ -162,7 +161,7 @@ class _Machine(HierarchicalAsyncMachine):
 class StateMachine:
     """The table at work.  ``on_change`` is called after each transition with the old state, the new one and the cause.
 
-    What is logged and told of a transition is handed to ``later``, in order.
+    Log lines are handed to ``later``.
 
     The table has neither conditions nor callbacks, so where an event leads is a matter of state and event alone: the
     library, which needs a third of a millisecond, is asked once for each.  Calls must not overlap: the owner serialises
@@ -223,9 +222,7 @@ class StateMachine:
                 self._log.warning("event refused", cell_event=event.value, state=before.value, cause=cause)
                 raise EventRefusedError(event, before) from error
             self._led_to[before, event] = self.current
-        self._later(partial(self._tell, before, self.state, event, cause))
-
-    def _tell(self, before: CellState, after: CellState, event: CellEvent, cause: str) -> None:
-        self._log.info("state", before=before.value, after=after.value, cell_event=event.value, cause=cause)
+        about = {"before": before.value, "after": self.current, "cell_event": event.value, "cause": cause}
+        self._later(lambda: self._log.info("state", **about))
         if self._on_change is not None:
-            self._on_change(before, after, cause)
+            self._on_change(before, self.state, cause)

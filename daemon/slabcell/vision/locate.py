@@ -204,7 +204,7 @@ class Locator(Prepared):
     def _inside(self, blobs: Blobs, area_mm: Polygon) -> Blobs:
         if not blobs:
             return blobs
-        middles = self.plane.from_pixels(np.array([blob.polygon.mean(axis=0) for blob in blobs]))
+        middles = engine().to_plane(self.plane.grid, np.array([blob.polygon.mean(axis=0) for blob in blobs]))
         inside = shapely.contains_xy(area_mm.shape, middles[:, 0], middles[:, 1])
         return Blobs.of([blob for blob, keep in zip(blobs, inside, strict=True) if keep])
 

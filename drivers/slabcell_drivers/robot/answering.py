@@ -38,15 +38,11 @@ class Answering(Generic[Sent]):
         self._encode = encode
         self._turn = asyncio.Lock()
 
-    async def settle(self) -> None:
-        """Wait until no request is under way."""
-        async with self._turn:  # the lock is fair: whoever asked before has it first
-            return
-
     async def answer(self, request: Request) -> Sent:
         """Return what to send: the handler's answer, encoded, or an error number if it raises or cannot be sent.
 
-        Not to be cancelled once the handler is asked.  No task of its own: whoever sends goes on as the handler ends.
+        Not to be cancelled once the handler is asked; a link that stops waits for it.  No task of its own: whoever
+        sends goes on as the handler ends.
         """
         async with self._turn:
             try:

@@ -82,7 +82,6 @@ class EkiClient:
             else:
                 await self._serve(reader, writer, answering)
             await pause(self._retry_s, unless=self._stopping)
-        await answering.settle()
 
     async def _connect(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
         """Connect, unless the link is stopped first (ConnectionAbortedError)."""

@@ -90,8 +90,6 @@ class EkiServer:
         if self._current is not None:
             self._current.end(EndReason.STOPPED)
         await asyncio.gather(*self._tasks, return_exceptions=True)
-        if self._answering is not None:
-            await self._answering.settle()
         await server.wait_closed()
         self._states.become(LinkState.CLOSED)
 

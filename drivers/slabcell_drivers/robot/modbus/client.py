@@ -211,8 +211,8 @@ class ModbusClient:
             return
         self._stopping.set()
         await task
-        if self._answering is not None:
-            await self._answering.settle()
+        if self._pending is not None:
+            await asyncio.wait({self._pending})
         self._states.become(LinkState.CLOSED)
 
     # --------------------------------------------------------------------------------------------------------- polling

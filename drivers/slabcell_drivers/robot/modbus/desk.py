@@ -74,7 +74,6 @@ class RequestDesk:
             self._ticking.cancel()
             await asyncio.gather(self._ticking, return_exceptions=True)
         await asyncio.gather(*self._work, return_exceptions=True)
-        await self._answering.settle()
         self._set_status(Status.NOT_READY)
 
     def new_peer(self) -> None:
